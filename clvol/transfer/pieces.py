@@ -21,7 +21,7 @@ _log = logging.getLogger(__name__)
 IN_REGISTERS = 16  # pieces that a ray packet holds in one register: the least TRANSFER_PIECES
 MOST_IN_REGISTERS = 256  # and in several of them: the largest one
 ROWS = 27
-OPAQUE_DEPTH = 1e15  # of cl/transfer_pieces.h
+OPAQUE_DEPTH = 1e15  # of cl/stretch.h
 SPANS = 4  # of values in which something shows: those of `View` in cl/view.h
 (BEGIN, END, INVERSE, OPACITY, OPACITY_CHANGE, COLOR, COLOR_CHANGE, LENGTH, DEPTH, MOMENT, DEPTHS, COLORS,
  NEXT_OPAQUE, LAST_OPAQUE, UNITS, FROM, TO, CLEAR, CLEAR_CHANGE, ORIGIN, SIXTEENTH) = (

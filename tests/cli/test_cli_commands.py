@@ -136,15 +136,16 @@ def test_doctor_without_a_working_device_has_status_3(run, reports):
 def test_explain_tells_what_the_scene_calls_for(run, folder, monkeypatch):
     told = {"effects": [{"name": "skip", "called_for": True, "reason": "empty space"},
                         {"name": "shade", "called_for": False, "reason": "no light"}],
-            "classification": {"name": "post", "reason": "it errs less"}, "kernel_hash": "abc", "warnings": []}
+            "classification": {"name": "post", "reason": "it errs less"}, "kernel_hash": "abc", "warnings": [],
+            "rays": {"per_pixel": 4, "reason": "in every pixel"}}
     module = ModuleType("clvol.explanation")
     module.explain = lambda resolved: told if resolved.image.width == 8 else None
     monkeypatch.setitem(sys.modules, "clvol.explanation", module)
     assert json.loads(run("explain", "scene.toml", "--json").out) == told
     lines = run("explain", "scene.toml").out.splitlines()
     assert lines[0].split() == ["yes", "skip", "empty", "space"]
-    assert lines[1].split() == ["no", "shade", "no", "light"] and lines[3] == "kernel abc"
-    assert lines[2] == "classification post: it errs less"
+    assert lines[1].split() == ["no", "shade", "no", "light"] and lines[4] == "kernel abc"
+    assert lines[2:4] == ["classification post: it errs less", "rays per pixel 4: in every pixel"]
 
 
 def test_explain_refuses_a_wrong_scene(refused, nothing_left):

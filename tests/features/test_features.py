@@ -114,7 +114,7 @@ def test_counters_of_effects_are_as_many_as_the_header_says():
     ("project.h", "BOUND_LEVELS", projection.LEVELS),
     ("project.h", "BOUND_SHIFT", projection.LEVEL_SHIFT),
     ("project.h", "NO_SCORE", projection.NO_SCORE),
-    ("transfer_pieces.h", "OPAQUE_DEPTH", OPAQUE_DEPTH),
+    ("stretch.h", "OPAQUE_DEPTH", OPAQUE_DEPTH),
 ])  # fmt: skip
 def test_constants_of_both_sides_are_the_same(header, name, here):
     assert np.float32(defined(header)[name]) == np.float32(here)
