@@ -99,7 +99,7 @@ def frame_on(device, name: str, place: Place):
 
 # Whose kernels Intel's compiler takes most of a minute and more to optimise.
 LONG = {"shadow rays", "environment of a cube", "scattering", "multiresolution", "fields and clips",
-        "Sobel gradients, opacity by gradient"}  # fmt: skip
+        "Sobel gradients, opacity by gradient", "half-angle slices"}  # fmt: skip
 
 
 @pytest.mark.parametrize(
