@@ -10,8 +10,8 @@ from bench.options import Options
 
 NAMES = (
     "peers", "shaded", "isosurface", "effects", "sampling", "scaling", "startup", "convergence",
-    "tradeoff", "targets", "multiresolution", "pyramid", "slicing", "compression", "devices", "gallery",
-    "first-pictures", "supersampling", "coherence",
+    "tradeoff", "targets", "multiresolution", "pyramid", "slicing", "compression", "devices", "workers",
+    "gallery", "first-pictures", "supersampling", "coherence",
 )  # fmt: skip
 
 

@@ -25,6 +25,7 @@ from clvol.store.source import DROPPED, BlockStatistics
 from clvol.store.volume_blocks import VolumeBlocks
 
 STEPPINGS = ("full", "limited", "naive", "bounded")
+SLICES = "slices"  # beside them: as texture slicing in the paper's table
 PRIORITIES, TILE_SIZES = ("max", "average", "rms"), (8, 12, 16, 24)
 SHARE_GOAL, HIGHEST = 0.37, 0.9  # of pixels with a ray; tile_high as in the paper
 _SLOW = 0.6  # seconds of a frame from which three frames must do
@@ -164,6 +165,7 @@ def stepping(
         casters = {name: blocks.caster(skip=not as_in_paper, stepping=name) for name in STEPPINGS}
         if getattr(casters["bounded"], "steps", None) is None:  # steps it may take at once, by block
             del casters["bounded"]
+        casters[SLICES] = _slices(blocks)
         frames = {name: blocks.picture(caster) for name, caster in casters.items()}
         times = bench.times({name: blocks.turn(caster) for name, caster in casters.items()})
         row = {
@@ -178,6 +180,20 @@ def stepping(
     say(f"{scene.name} {ratio:g} : 1{', as in the paper' if as_in_paper else ''}: limited"
         f" {found['faster']:.2f} times as fast, SSIM {found['ssim']:.4f}")
     return row
+
+
+def _slices(blocks: Any) -> Any:
+    """Texture slices of all voxels at the blocks' step: planes across the view. Where classification is pre-integrated
+    both ends of each slab are sampled for it."""
+    from clvol.device.volume import DeviceVolume
+    from clvol.integrators.slicing.caster import SlicingCaster
+
+    asked = blocks.resolved
+    asked = replace(asked, integration=asked.integration.model_copy(update={"method": "slicing"}))
+    made = SlicingCaster(blocks.context, asked, volume=DeviceVolume(blocks.context, asked.volume))
+    made.switches["SLAB_SAMPLES"] = 2
+    made.warm_up(*blocks.size, depth=False)
+    return made
 
 
 def stepping_row(

@@ -115,7 +115,8 @@ def _stepping(rows: list[dict[str, Any]]) -> list[str]:
             "M samples", "fewer", "SSIM", "CIEDE2000", "levels"]
     bounded = any("bounded" in row["steppings"] for row in rows)
     lines = ["Steps along the ray, beside \"full\" at the same blocks. As in the paper: levels by the"
-             " transfer function alone, no empty space leapt over. As used: by the view, too; leaps.",
+             " transfer function alone, no empty space leapt over. As used: by the view, too; leaps."
+             " Slices: textures of all voxels, planes at the same step, nothing leapt over.",
              table(head, cells, left=5)]
     return [*lines, *([] if bounded else ["bounded: left out, no block has a bound here"]), ""]
 

@@ -39,6 +39,12 @@ def caster(bench: Bench, resolved: Any, volume: Any = None, **how: Any) -> Any:
 
 
 def _made(bench: Bench, resolved: Any, volume: Any = None, **how: Any) -> Any:
+    if resolved.integration.method == "slicing":
+        from clvol.integrators.slicing.caster import SlicingCaster
+
+        slices = SlicingCaster(bench.context, resolved, volume=volume, **how)
+        slices.switches["SLAB_SAMPLES"] = 2  # as textures are looked up
+        return slices
     if resolved.integration.method == "pyramid":
         from clvol.integrators.pyramid.caster import PyramidCaster as Caster
     else:
@@ -108,6 +114,7 @@ def paper(
     )
     rays = caster(bench, asked)
     casters = {"plain": rays, "unskipped": caster(bench, asked, rays.volume, skip=False)}
+    casters["texture"] = caster(bench, by_rays(scene, volume, bench.size, method="slicing", **step), rays.volume)
     settings = {"minimum": {"oracle": "minimum"}} | {
         way_name(oracle, epsilon): {"oracle": oracle, "epsilon": epsilon}
         for oracle, epsilon in PAPER_WAYS

@@ -1,6 +1,6 @@
-"""What slices do to a picture, by the figures that Kraus (2003, section 4) argues with: stacks that pop, planes and
-shells under wide views, narrow peaks that fall between slices, frame buffers of few bits; and what slices take beside
-rays.
+"""What slices do to a picture, by the figures that Engel and Ertl (2002, section 4) argue with: stacks that pop, planes
+and shells under wide views, narrow peaks that fall between slices, frame buffers of few bits; what slices take beside
+rays; and half-angle slices (half_angle.py).
 
 All pictures are of one volume, by the transfer functions engine-smooth and engine-peaks; errors are against the exact
 integral.
@@ -11,17 +11,20 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Iterator
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
+from bench import half_angle
 from bench.options import Options
 from bench.reference_cache import exact_picture
-from bench.report import closing, load_average, opening, table
+from bench.report import closing, load_average, opening, say, table
 from bench.scenes import SCENES, BenchScene, available
+from bench.slicing_pictures import slicing_sheet
 
-SUMMARY = "slices beside rays: popping, planes and shells, narrow peaks, frame buffers of few bits"
+SUMMARY = "slices beside rays: popping, planes and shells, narrow peaks, frame buffers, half-angle slices"
 SIZE, QUICK_SIZE = 256, 48
 GEOMETRIES = ("object-aligned", "object-aligned-interpolated", "view-aligned", "shells")
 ANGLES = (0, 10, 20, 30, 40, 44.9, 45.1, 50, 60, 70, 80, 90)
@@ -98,6 +101,12 @@ def run(options: Options) -> dict[str, Any] | None:
     result["peaks"] = list(over_slices(bench, QUICK_SLICES if quick else SLICES))
     result["buffers"] = list(over_buffers(bench, QUICK_SLICES if quick else SLICES))
     result["times"] = list(times(bench, 3 if quick else options.frames))
+    result["half_angle"] = half_angle.measure(bench, quick)
+    path = (Path(__file__).resolve().parent if not quick else options.folder) / "slicing-pictures.png"
+    try:
+        result["sheet"] = str(slicing_sheet(bench, half_angle.LightBench(bench, quick), path))
+    except ImportError as error:
+        say(f"no pictures: {error} (pip install matplotlib)")
     result["seconds"], result["load_after"] = perf_counter() - begin, load_average()
     return result
 
@@ -231,6 +240,7 @@ def show(result: dict[str, Any]) -> str:
                 for r in result["times"]
             ],
         ),
+        *half_angle.show(result["half_angle"]),
         "\n".join(closing(result)),
     ]  # fmt: skip
     return "\n\n".join(parts)
@@ -267,4 +277,5 @@ def draw(result: dict[str, Any], options: Options) -> list:
     path = options.folder / "slicing.png"
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path)
-    return [path]
+    sheets = [Path(result["sheet"])] if "sheet" in result else []
+    return [path, half_angle.draw(result["half_angle"], path.with_name("half-angle.png")), *sheets]

@@ -101,6 +101,9 @@ typedef struct {
 #define COUNT_BENDS 7            /* rays refracted or reflected */
 #define EFFECT_COUNTERS 8
 
+/* Floats per point of a light volume. */
+#define LIGHT_CHANNELS (SCATTERING ? 4 : 1)
+
 INLINE Vectors to_local(__constant const Effects *e, floatN x, floatN y, floatN z)
 {
   const Vectors r = {e->local_x.x * x + e->local_x.y * y + e->local_x.z * z + e->local_x.w,

@@ -39,10 +39,11 @@
 #define STEPPING_NAIVE 2
 #define STEPPING_BOUNDED 3
 
-/* Switch SLICES; 0: rays take steps of their own (march_slices.h). */
+/* Switch SLICES; 0: rays take steps of their own (march_slices.h, march_half_angle.h). */
 #define SLICES_ALONG_AXIS 1
 #define SLICES_ALONG_VIEW 2
 #define SLICES_SHELLS 3
+#define SLICES_HALF_ANGLE 4
 
 /* Switch ACCUMULATE: what a pixel is rounded to after each slice (march_slices.h). */
 #define ACCUMULATE_FLOAT32 0
@@ -58,6 +59,7 @@
 /* Switch SHADOWS; 0: none (shadow.h). */
 #define SHADOWS_RAYS 1
 #define SHADOWS_VOLUME 2
+#define SHADOWS_HALF_ANGLE 3
 
 /* Bits of the switch OPACITY_FACTORS (opacity_factors.h). */
 #define OPACITY_FACTOR_GRADIENT 1

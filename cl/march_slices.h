@@ -6,13 +6,15 @@
  *                voxels, interpolation is bilinear: the third weight is 0
  *   along-view   planes parallel to the picture: d / cos
  *   shells       spheres around the eye, d apart on every ray; planes for an orthographic one
- * (Kraus, Direct Volume Visualization of Geometrically Unpleasant Meshes, 2003, section 4; shells: LaMar, Hamann, Joy,
- * Multiresolution techniques for interactive texture-based volume visualization, 1999.)
+ * (Engel, Ertl, Interactive high-quality volume rendering with flexible consumer graphics hardware, 2002, section 4;
+ * shells: LaMar, Hamann, Joy, Multiresolution techniques for interactive texture-based volume visualization, 1999.)
  *
  * CLASSIFICATION pre and post: a slice stands for its thickness; slices along the view lie in the middle of what they
  * stand for. preintegrated: two slices bound a slab (Engel, Kraus, Ertl, High-quality pre-integrated volume rendering,
  * 2001). OPACITY_CORRECTION: the opacity is that of the ray's way from slice to slice, else that of `thickness`.
  * ACCUMULATE: a pixel is rounded to half floats, or to 8 bits, after each slice, as in a frame buffer.
+ * SLAB_SAMPLES: for measurements; 2: both ends of a slab are sampled for it, as textures are, which know nothing of the
+ * slab before. It changes no bit.
  */
 #ifndef MARCH_SLICES_H
 #define MARCH_SLICES_H
@@ -25,6 +27,10 @@
 #include "rays.h"
 #include "scene.h"
 #include "slices.h"
+
+#ifndef SLAB_SAMPLES
+#define SLAB_SAMPLES 1
+#endif
 
 /* Of a slice's spacing: a ray that enters through the face that a slice lies in meets that slice. */
 #define NEARLY 1e-4f
@@ -152,6 +158,14 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
 #else
     const floatN from = t - met.gap;
     active &= MASK(i > 0);
+#if SLAB_SAMPLES == 2
+    if (any_lane(active)) {
+      const floatN at = met.base + (number - 1.0f) * met.gap;
+      const floatN t0 = lane_clamp(at, (floatN)0.0f, lane_max(ray.length, (floatN)0.0f));
+      front = sample_value(fetch_slice(scene->volume, scene->slices, view, &ray, &met, number - 1.0f, t0), view);
+      taken -= AS_UINT(active);
+    }
+#endif
     if (may_be_visible(lane_min(front, value), lane_max(front, value), active, view))
       composite_segment(&acc, front, value, thickness, active, scene->table, view);
 #endif

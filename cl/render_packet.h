@@ -31,12 +31,14 @@
 #endif
 
 #define SHADED_MARCH \
-  (EFFECTS && !COMPOSITING && HOLD_SEGMENTS && SEGMENT_OPACITIES && TRANSLUCENT && !NOISE && !BLOCKS)
+  (EFFECTS && !COMPOSITING && HOLD_SEGMENTS && SEGMENT_OPACITIES && TRANSLUCENT && !NOISE && !BLOCKS && !SLICES)
 
 #if BLOCKS
 #include "march_blocks.h"
 #elif EFFECTS && COMPOSITING
 #include "project.h"
+#elif EFFECTS && SLICES
+#include "march_half_angle.h"
 #elif SHADED_MARCH
 #include "march_shaded.h"
 #elif EFFECTS

@@ -1,5 +1,6 @@
 /* All that a kernel may read of its scene, as one struct: the volume, its transfer function and what the variant adds,
- * EFFECTS (effects.h), BLOCKS (block_parameters.h) or SLICES (slices.h). Functions about the scene take `const Scene *`.
+ * EFFECTS (effects.h; with SLICES half_angle.h, too), BLOCKS (block_parameters.h) or SLICES (slices.h). Functions about
+ * the scene take `const Scene *`.
  *
  *   SCENE_PARAMETERS   the parameters of a kernel that the struct is made of; clvol/device/arguments.py declares the
  *                      same
@@ -19,6 +20,9 @@
 #include "view.h"
 #if EFFECTS
 #include "effects.h"
+#if SLICES
+#include "half_angle.h"
+#endif
 #elif BLOCKS
 #include "block_parameters.h"
 #elif SLICES
@@ -41,6 +45,9 @@ typedef struct {
   __global const uint *noise;
   __global const float *factors;
   __global const float *fields;
+#if SLICES
+  __constant const HalfAngle *half_angle;
+#endif
 #elif BLOCKS
   BlockVolume blocks;
 #elif SLICES
@@ -50,15 +57,25 @@ typedef struct {
 #endif
 } Scene;
 
+#if EFFECTS && SLICES
+#define HALF_ANGLE_PARAMETER , __constant const HalfAngle *restrict half_angle
+#define HALF_ANGLE_ARGUMENT , half_angle
+#else
+#define HALF_ANGLE_PARAMETER
+#define HALF_ANGLE_ARGUMENT
+#endif
+
 #if EFFECTS
 #define VARIANT_PARAMETERS                                                                               \
   , __constant const Effects *restrict effects, __global const float4 *restrict items,                   \
     __global const uint *restrict gradients, __global const uchar *restrict surface_distances,           \
     __global const uchar *restrict constant_distances,                                                   \
     __global const float4 *restrict environment, __global const float4 *restrict light_volume,           \
-    __global const uint *restrict noise, __global const float *restrict factors, __global const float *restrict fields
+    __global const uint *restrict noise, __global const float *restrict factors, __global const float *restrict fields \
+    HALF_ANGLE_PARAMETER
 #define VARIANT \
-  , effects, items, gradients, surface_distances, constant_distances, environment, light_volume, noise, factors, fields
+  , effects, items, gradients, surface_distances, constant_distances, environment, light_volume, noise, factors, fields \
+    HALF_ANGLE_ARGUMENT
 #define SCENE_COUNTERS EFFECT_COUNTERS
 #elif BLOCKS
 #define VARIANT_PARAMETERS , BLOCK_PARAMETERS

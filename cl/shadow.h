@@ -22,6 +22,8 @@
  * passes through has dark corners behind it, by which the surface would darken itself: surfaces look up their light a
  * light cell farther out (beyond_surface). The translucent volume does not: where it turns opaque within less than a
  * light cell, its boundary shows the light cells, and rays are the better method.
+ *
+ * SHADOWS_HALF_ANGLE: slabs that light and eye go through alike (half_angle.h, slice_light.h).
  */
 #ifndef SHADOW_H
 #define SHADOW_H
@@ -45,10 +47,12 @@
 #if FIELDS
 #include "fields.h"
 #endif
+#if SHADOWS == SHADOWS_HALF_ANGLE
+#include "slice_light.h"
+#endif
 
 #define SURFACE_OFFSET 0.1f
 #define SHADOW_STEPS 8 /* between looks at the distance map */
-#define LIGHT_CHANNELS (SCATTERING ? 4 : 1)
 
 /* A local direction of unit length in lattice units per edge. What is parallel to an axis' faces but for rounding is
  * made so: a ray along a face would leave through it. */
@@ -336,6 +340,8 @@ INLINE Vectors light_that_arrives(const Scene *scene, Vectors place, Vectors tow
 #else
   share.y = share.z = share.x;
 #endif
+#elif SHADOWS == SHADOWS_HALF_ANGLE
+  share = light_of_slab(scene, place);
 #else
   const intN cast = faces & MASK(weight > e->shadow_bound);
   share.x = share.y = share.z = 1.0f;

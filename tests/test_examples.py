@@ -24,6 +24,7 @@ SHOWS = {
     "isosurface": lambda scene: len(scene.isosurface) > 1,
     "clip": lambda scene: len(scene.clip) > 1,
     "shadows": lambda scene: scene.shadow.scattering > 0,
+    "slicing": lambda scene: scene.slicing.is_half_angle,
     "blocks": lambda scene: scene.integration.method == "multiresolution",
     "compression": lambda scene: scene.compression.is_lossy and scene.compression.stated,
     "pyramid": lambda scene: scene.integration.method == "pyramid",
@@ -36,7 +37,7 @@ SHOWS = {
 }
 
 
-def test_there_are_fourteen_scenes_and_five_scripts():
+def test_there_are_fifteen_scenes_and_five_scripts():
     assert set(SCENES) == set(SHOWS)
     assert {path.stem for path in EXAMPLES.glob("*.py")} == {
         "render_array", "render_to_error", "compare_steps", "labels", "series"

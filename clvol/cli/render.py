@@ -10,7 +10,7 @@ import click
 from clvol.cli.bricks import render_bricks
 from clvol.cli.devices import measure_for_all
 from clvol.cli.options import complete_file, memory_cap_option, overrides_option
-from clvol.cli.workers import check_alone, connection, render_on_workers, workers_options
+from clvol.cli.workers import check_alone, connection, picture_elsewhere, render_on_workers, workers_options
 from clvol.errors import UsageError
 
 if TYPE_CHECKING:
@@ -203,15 +203,18 @@ def _render(
             overrides = (*overrides, f"animation.frames={steps}")
             loaded = load_scene(scene, overrides)
         if loaded.animation.frames == 1 and steps is None:
-            if cluster is not None:
-                raise UsageError("--workers", "given for a single picture", "a scene with animation.frames above 1")
             if frames is not None:
                 raise UsageError("--frames", "given for a single picture", "a scene with animation.frames above 1")
             outputs = check_still(outputs, resume)
+            elsewhere = None
+            if cluster is not None:
+                check_alone("--workers", loaded, max_error=max_error, time_budget=time_budget,
+                            show_schedule=show_schedule, pixel_area=pixel_area or None)  # fmt: skip
+                elsewhere = picture_elsewhere(cluster, scene, overrides, loaded, devices, memory_cap)
             render_still(
                 loaded, outputs, stats, devices, memory_cap, quiet, start,
                 isolate=isolate, max_error=max_error, time_budget=time_budget, pixel_area=pixel_area,
-                show_schedule=show_schedule,
+                show_schedule=show_schedule, elsewhere=elsewhere,
             )  # fmt: skip
             return
         from clvol.cli.animation import frame_range, render_animation

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from clvol.render.frame_schedule import Schedule
     from clvol.scene import Scene
 
+RenderElsewhere = Callable[["ShowProgress | None", bool], "Frame"]
 OPTIONS = {"max_error": "--max-error", "time_budget": "--time-budget"}
 
 
@@ -35,8 +36,10 @@ def render_still(
     time_budget: float | None,
     pixel_area: bool = False,
     show_schedule: str | None,
+    elsewhere: RenderElsewhere | None = None,
 ) -> None:
-    """Renders one picture and writes it to all ``outputs``. ``start``: when the command began (``perf_counter``)."""
+    """Renders one picture and writes it to all ``outputs``. ``start``: when the command began (``perf_counter``).
+    ``elsewhere(progress, depth)`` renders it in place of this process."""
     from clvol.cli.console import note, say_path, to_json, working
     from clvol.cli.outputs import check_outputs
     from clvol.image import atomic_paths, save_picture, write_frame
@@ -58,7 +61,10 @@ def render_still(
         how: dict[str, Any] = {"devices": devices, "memory_cap": memory_cap, "isolate": isolate, **target}
         depth = any(path.lower().endswith(".exr") for path in outputs)
         with working(f"rendering {scene.image.width} x {scene.image.height} pixels", quiet) as progress:
-            frame, schedule = _frame_of(scene, progress, depth, refines, pixel_area, **how)
+            if elsewhere is not None:
+                frame, schedule = elsewhere(progress, depth), None
+            else:
+                frame, schedule = _frame_of(scene, progress, depth, refines, pixel_area, **how)
         if show_schedule is not None and schedule is None:
             raise UsageError("--show-schedule", "given for one device", "several: --device NAME --device NAME")
         standard = io.BytesIO()

@@ -15,8 +15,11 @@ from clvol.cli.options import complete_file
 from clvol.errors import ClvolError, DeviceError, RenderError, SceneError, UsageError
 
 if TYPE_CHECKING:
+    from clvol.cli.console import ShowProgress
+    from clvol.cli.render_still import RenderElsewhere
     from clvol.cluster.connection import Connection
     from clvol.cluster.frames import MadeFrame
+    from clvol.render.frame import Frame
     from clvol.scene import Scene
 
 
@@ -157,6 +160,30 @@ def render_on_workers(
         note(f"{kept} of {len(numbers)} frames existed already and were kept")
     if failed:
         raise _as_error(failed)
+
+
+def picture_elsewhere(
+    cluster: Connection, path: str, overrides: Sequence[str], scene: Scene, devices: list[str] | None,
+    memory_cap: int | None,
+) -> RenderElsewhere:  # fmt: skip
+    """What renders the picture of ``scene``, loaded from ``path`` with ``overrides``, on workers that share tiles."""
+
+    def render(progress: ShowProgress | None, depth: bool) -> Frame:
+        from clvol.cluster.tiles import tiles_on_workers
+        from clvol.render.frame import make_frame
+
+        if scene.moment is not None:
+            expected = "its scene (.toml), or this process"
+            raise UsageError(path, "workers do not render pictures again that carry their scene", expected)
+        request = {"path": path, "overrides": list(overrides), "devices": devices, "memory_cap": memory_cap,
+                   "depth": depth}  # fmt: skip
+        resolved, start = scene.resolve(memory_cap), time.perf_counter()
+        size = resolved.image.width, resolved.image.height
+        rgba, distances, counted = tiles_on_workers(cluster, request, size, [path, *scene.input_paths], progress)
+        seconds = {"render": time.perf_counter() - start}
+        return make_frame(resolved, rgba, distances, seconds, counted, [cluster.name])
+
+    return render
 
 
 def _as_error(failed: Sequence[MadeFrame]) -> ClvolError:

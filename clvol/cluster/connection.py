@@ -33,6 +33,12 @@ class Connection:
     wait: float
     cores: list[list[int]]
 
+    def worker_count(self) -> int:
+        """The workers that are there now."""
+        with suppress(Exception):  # a scheduler that is lost is reported elsewhere
+            return len(self.client.scheduler_info(n_workers=-1)["workers"])
+        return 0
+
 
 @contextmanager
 def connected(workers: int | None, scheduler: str | None) -> Iterator[Connection]:

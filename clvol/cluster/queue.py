@@ -87,7 +87,7 @@ class TaskQueue:
         self._common = {"facts": program_facts(), "folder": folder}
         self._name = f"clvol-{secrets.token_hex(6)}"
         self._tries: Counter[int] = Counter()
-        self._events: SimpleQueue[_Flight] = SimpleQueue()
+        self._events: SimpleQueue[_Flight | None] = SimpleQueue()  # None: a check has ended
         self._workers: dict[str, _Worker] = {}
         self._flights: dict[int, _Flight] = {}
         self._todo: list[int] = []
@@ -127,6 +127,7 @@ class TaskQueue:
     def _look(self) -> None:
         """Checks workers that are new, and forgets those that are gone."""
         now = time.monotonic()
+        self._end_checks()
         if now - self._looked < _LOOK * max(1.0, len(self._workers) / _MANY):
             return
         self._looked = now
@@ -140,15 +141,12 @@ class TaskQueue:
                 del self._workers[address]
         for address in known.keys() - self._workers.keys():
             self._begin_check(address, known[address].get("resources", {}))
-        for each in list(self._workers.values()):
-            if each.check is not None and each.check.done():
-                self._end_check(each)
+        self._end_checks()
         self._hand_back({each.address for each in self._workers.values() if each.address in known})
-        if any(each.is_good for each in self._workers.values()):
+        if any(each.reason is None for each in self._workers.values()):  # also those that are being checked
             self._since_none = now
             return
-        waiting = any(each.reason is None for each in self._workers.values())
-        if self.left_out and not waiting:
+        if self.left_out:
             reasons = "; ".join(f"{address}: {reason}" for address, reason in self.left_out.items())
             without_device = all(each.status == DeviceError.exit_status for each in self._workers.values())
             kind = DeviceError if without_device else RenderError
@@ -156,6 +154,11 @@ class TaskQueue:
         if now - self._since_none > self._connection.wait:
             what = f"no worker is there after {self._connection.wait:.0f} s"
             raise RenderError(self._connection.name, what, "a worker: dask worker --nthreads 1 --resources opencl=1")
+
+    def _end_checks(self) -> None:
+        for each in list(self._workers.values()):
+            if each.check is not None and each.check.done():
+                self._end_check(each)
 
     def _known_workers(self) -> dict[str, Any] | None:
         """What the scheduler knows of its workers, by address; None if it does not answer."""
@@ -187,6 +190,7 @@ class TaskQueue:
                 worker.check, request, key=key, workers=[address], allow_other_workers=False, pure=False,
                 resources={"opencl": 1}, priority=10,
             )  # fmt: skip
+            future.add_done_callback(lambda _: self._events.put(None))
             found = _Worker(address, share, future)
         self._workers[address] = found
 
@@ -242,12 +246,12 @@ class TaskQueue:
 
     def _finished(self) -> list[_Flight]:
         """Tasks that have ended; none if that takes a while."""
-        found: list[_Flight] = []
+        found: list[_Flight | None] = []
         with suppress(Empty):
             found.append(self._events.get(timeout=_LOOK))
             while True:
                 found.append(self._events.get_nowait())
-        return [flight for flight in found if self._flights.get(flight.number) is flight]
+        return [flight for flight in found if flight is not None and self._flights.get(flight.number) is flight]
 
     def _answer(self, flight: _Flight) -> Answer | None:
         """The answer to a task; None if it is to be tried again."""

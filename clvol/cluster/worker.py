@@ -14,6 +14,8 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from clvol.batch.frames import FramesRun
 from clvol.batch.job import Picture
 from clvol.batch.run import JobRun, Options
@@ -22,6 +24,7 @@ from clvol.cluster.facts import Digests, different_program
 from clvol.errors import ClvolError, ClvolWarning, DeviceError
 from clvol.json_values import plain
 from clvol.opencl.devices import pin_threads
+from clvol.render.some_tiles import TilesRun
 
 _digests = Digests()
 _checked: set[str] = set()  # requests' files that are those of the client
@@ -71,6 +74,20 @@ def brick(request: str) -> dict[str, Any]:
         run = _kept(asked["scene"], lambda: BricksRun(**asked["scene"]))
         made = run.make(asked["brick"])
         return {"pixels": made.rgba, "samples": made.samples, "bytes": made.bytes}
+
+    return _answered(request, work)
+
+
+def tiles(request: str) -> dict[str, Any]:
+    """Renders a rectangle of a picture (``clvol.cluster.tiles``): "pixels" float32 [height, width, 4 or 5], the last
+    channel the depth."""
+
+    def work(asked: dict[str, Any]) -> dict[str, Any]:
+        run = _kept(asked["scene"], lambda: TilesRun(**asked["scene"]))
+        left, top, right, bottom = asked["rectangle"]
+        made = run.make((left, top, right, bottom))
+        pixels = made.rgba if made.depth is None else np.concatenate([made.rgba, made.depth[..., None]], axis=-1)
+        return {"pixels": pixels, "samples": made.samples, "rays": made.rays, "counters": made.counters}
 
     return _answered(request, work)
 

@@ -260,7 +260,7 @@ class EffectState:
 
     def counted(self, sums: dict[str, int]) -> dict[str, int]:
         """Those of ``sums`` (by the names of COUNTERS) that the scene's effects count."""
-        by_volume = self.switches.get("SHADOWS") == METHODS["volume"]
+        by_volume = self.switches.get("SHADOWS") in (METHODS["volume"], METHODS["half-angle"])
         return {
             name: total
             for name, total in sums.items()

@@ -1,4 +1,5 @@
-"""The host side of shadows: how much of each light arrives at the points of a light volume (cl/shadow.h)."""
+"""The host side of shadows: how much of each light arrives at the points of a light volume (cl/shadow.h), and what the
+light of half-angle slices takes (cl/half_angle.h)."""
 
 from __future__ import annotations
 
@@ -45,9 +46,24 @@ def shadow_switches(resolved: ResolvedScene) -> dict[str, int]:
     """The switches (-D) of shadows."""
     shadow = resolved.shadow if casting_lights(resolved) else None
     return {
-        "SHADOWS": 0 if shadow is None else METHODS[shadow.method],
+        "SHADOWS": 0 if shadow is None else METHODS[shadow_method(resolved)],
         "SCATTERING": int(shadow is not None and _scatters(shadow)),
     }
+
+
+def by_slices(resolved: ResolvedScene) -> bool:
+    """Whether the scene is rendered by half-angle slices."""
+    return resolved.integration.draws_slices and resolved.slicing.is_half_angle
+
+
+def shadow_method(resolved: ResolvedScene) -> str:
+    """That of [shadow], or "half-angle" where slices are swept by the light."""
+    return "half-angle" if by_slices(resolved) else _shadow_of(resolved).method
+
+
+def slab_count(extent: float, spacing: float) -> int:
+    """Half-angle slabs, ``spacing`` apart, in ``extent``; never so many that they cannot be counted."""
+    return max(1, int(np.ceil(min(extent / spacing - 1e-6, 1e9))))
 
 
 def shadow_step(resolved: ResolvedScene) -> float:
@@ -69,9 +85,20 @@ def light_size(grid: Grid, resolution: int) -> tuple[int, int, int]:
 def light_volume_bytes(resolved: ResolvedScene) -> int:
     """Bytes that the light volumes of all lights take on the device; 0 where there are none."""
     lights = casting_lights(resolved)
-    if not lights or not _shadow_of(resolved).is_volume:
+    if not lights or shadow_method(resolved) == "rays":
         return 0
+    if by_slices(resolved):
+        return _slice_bytes(resolved)
     return 4 * len(lights) * _floats(resolved)
+
+
+def _slice_bytes(resolved: ResolvedScene) -> int:
+    """Bytes that the light of half-angle slices takes at most, from whatever side the volume is seen."""
+    grid, shadow = resolved.volume.grid, _shadow_of(resolved)
+    lower, upper = grid.index_bounds()
+    diagonal = float(np.linalg.norm((upper - lower) * grid.spacing)) / grid.smallest_edge
+    slabs = resolved.slicing.slices or slab_count(diagonal, resolved.integration.step * np.sqrt(0.5))
+    return 4 * (shadow.resolution**2 + 16) * (slabs + 2) * (4 if _scatters(shadow) else 1)
 
 
 def check_fits(resolved: ResolvedScene, limits: DeviceLimits) -> None:
@@ -80,7 +107,10 @@ def check_fits(resolved: ResolvedScene, limits: DeviceLimits) -> None:
     if needed > room:
         lights = len(casting_lights(resolved))
         resolution = _shadow_of(resolved).resolution
-        what = f"got {resolution}: light volumes of {lights} lights take {needed} bytes"
+        taken = f"light volumes of {lights} lights take"
+        if by_slices(resolved):
+            taken = "the light of half-angle slices takes"
+        what = f"got {resolution}: {taken} {needed} bytes"
         where = f"{resolved.origin}: shadow.resolution"
         raise SceneError(where, what, f"at most {room} bytes, the limit of the device")
 
@@ -97,7 +127,7 @@ def shadow_numbers(resolved: ResolvedScene, padded: tuple[int, int, int]) -> dic
         "shadow_depth": -np.log(TRANSPARENT) / slowest,
         "scattering": shadow.scattering,
     }
-    if shadow.is_volume:
+    if shadow_method(resolved) == "volume":
         size = light_size(resolved.volume.grid, shadow.resolution)
         scale = (np.asarray(size) - 1.0) / (np.asarray(padded) - 1.0)
         numbers["light_grid"] = (*scale, 0.0)

@@ -15,6 +15,7 @@ from clvol.features import (
     fields,
     filters,
     gradients,
+    half_angle,
     lighting,
     noise,
     opacity,
@@ -38,6 +39,7 @@ NAMES = (
     "environment background",
     "shadows",
     "scattering",
+    "half-angle slices",
     "isosurfaces",
     "refraction",
     "gradients",
@@ -56,7 +58,7 @@ NAMES = (
 )
 # Each pass analyses the scene as reduced by the passes before it.
 _PASSES = (
-    filters, emission, fields, noise, clipping, surfaces, opacity, lighting, shadows, depth_cue,
+    filters, emission, fields, noise, clipping, surfaces, opacity, lighting, shadows, half_angle, depth_cue,
     gradients,
 )  # fmt: skip
 

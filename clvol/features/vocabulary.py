@@ -20,11 +20,11 @@ STEPPINGS = {"full": 0, "limited": 1, "naive": 2, "bounded": 3}
 # How the method "pyramid" queries an oracle.
 ORACLES = {"minimum": 0, "map": 1, "error": 2, "custom": 3}
 # Shapes of slices: SLICES; 0: rays take steps of their own.
-SLICES = {"along-axis": 1, "along-view": 2, "shells": 3}
+SLICES = {"along-axis": 1, "along-view": 2, "shells": 3, "half-angle": 4}
 # What a pixel is rounded to after each slice: ACCUMULATE.
 ACCUMULATE = {"float32": 0, "half": 1, "uint8": 2}
 # Methods of shadows: SHADOWS.
-SHADOW_METHODS = {"rays": 1, "volume": 2}
+SHADOW_METHODS = {"rays": 1, "volume": 2, "half-angle": 3}
 # Bits of OPACITY_FACTORS.
 OPACITY_FACTORS = {"gradient": 1, "directional": 2}
 # Roles of fields, and bits of FIELDS.

@@ -115,6 +115,11 @@ PYRAMID = struct(
 SLICES = struct(("float", "first spacing thickness"), ("int", "axis count"))
 """``Slices`` of cl/slices.h."""
 
+HALF_ANGLE = struct(
+    ("float4", "across light_x light_y light_w"), ("int4", "size"), ("float", "own_share texels"), ("int", "is_point")
+)
+"""``HalfAngle`` of cl/half_angle.h."""
+
 NOISE_TERM = struct(
     ("float4", "scale offset amplitude"),
     ("float", "value_amplitude gain"),

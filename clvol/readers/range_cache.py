@@ -20,7 +20,7 @@ from clvol import cache_folder as folders
 from clvol.readers.file_stamp import Stamp
 from clvol.volume.axis import ValueAxis
 from clvol.volume.grid import Grid
-from clvol.volume.series import StepRange
+from clvol.volume.series_checks import StepRange
 from clvol.volume.volume import ACCEPTED_TYPES, Volume
 
 _FORMAT = 1

@@ -19,7 +19,8 @@ from clvol.readers.forward import ForwardReader, forward
 from clvol.readers.options import ALL_TIMES, SeveralTimes
 from clvol.readers.range_cache import RangeCache
 from clvol.readers.slice_names import natural
-from clvol.volume.series import StepRange, VolumeSeries
+from clvol.volume.series import VolumeSeries
+from clvol.volume.series_checks import StepRange
 from clvol.volume.series_steps import Step
 from clvol.volume.volume import Volume
 

@@ -11,6 +11,7 @@ from clvol.scene.table import Number, Table, Whole
 _BY_SEGMENTS = ("raycast",)  # one rule for all segments of a ray
 _BY_STEPS = ("raycast", "multiresolution", "pyramid", "slicing")
 _SHADED = ("raycast",)
+_BY_SLICES = ("slicing",)  # methods that draw slices one over the other
 
 
 class Integration(Table):
@@ -113,6 +114,11 @@ class Integration(Table):
         """Whether lights and all filters can be rendered; some methods and quadratures have emission and absorption
         alone."""
         return self.method in _SHADED and self.quadrature == "steps"
+
+    @property
+    def draws_slices(self) -> bool:
+        """Whether the method draws slices one over the other, as [slicing] says."""
+        return self.method in _BY_SLICES
 
     @classmethod
     def table_name(cls) -> str:

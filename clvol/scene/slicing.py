@@ -12,20 +12,23 @@ MOST_SLICES = 2**20
 
 
 class Slicing(Table):
-    """Slices of the volume drawn one over the other, as textures are (Kraus 2003, section 4).
+    """Slices of the volume drawn one over the other, as textures are (Engel and Ertl 2002, section 4).
 
     ``geometry`` is the shape of the slices. "object-aligned": planes of voxels, of the stack that faces the view most;
     "object-aligned-interpolated": such planes at any distance, interpolated between those of voxels; "view-aligned":
-    planes parallel to the picture; "shells": spheres around the eye. ``slices`` is their number from one end of the
-    volume to the other; None: all planes of voxels, or ``integration.step`` apart. ``accumulate`` is the precision
-    that a pixel is kept in between slices. With ``opacity_correction`` a slice counts for as much of the ray as lies
-    between slices; without, for the slices' distance, whatever the angle.
+    planes parallel to the picture; "shells": spheres around the eye; "half-angle": planes between light and view,
+    which the light that casts shadows goes through, slice by slice, as the eye does (Kniss et al. 2003). ``light_at``
+    is where in such a slice its light is taken: in the middle, behind half of what the slice absorbs, or at its front,
+    as they do. ``slices`` is their number from one end of the volume to the other; None: all planes of voxels, or
+    ``integration.step`` apart. ``accumulate`` is the precision that a pixel is kept in between slices. With
+    ``opacity_correction`` a slice counts for as much of the ray as lies between slices; without, for the slices'
+    distance, whatever the angle.
     """
 
-    geometry: Literal["object-aligned", "object-aligned-interpolated", "view-aligned", "shells"] = Field(
+    geometry: Literal["object-aligned", "object-aligned-interpolated", "view-aligned", "shells", "half-angle"] = Field(
         "view-aligned",
-        title="Planes of voxels, such planes interpolated, planes parallel to the picture, or spheres around the eye.",
-        description="'object-aligned', 'object-aligned-interpolated', 'view-aligned' or 'shells'",
+        title="Planes of voxels, or these interpolated; planes across the view, spheres, or planes swept by light.",
+        description="'object-aligned', 'object-aligned-interpolated', 'view-aligned', 'shells' or 'half-angle'",
     )
     slices: Whole | None = Field(
         None, ge=2, le=MOST_SLICES,
@@ -43,6 +46,17 @@ class Slicing(Table):
         title="Whether a slice's opacity is that of the ray between two slices, or of the slices' distance.",
         description="true or false",
     )
+
+    light_at: Literal["middle", "front"] = Field(
+        "middle",
+        title="Where in a slice of the geometry 'half-angle' its light is taken.",
+        description="'middle' or 'front'",
+    )
+
+    @property
+    def is_half_angle(self) -> bool:
+        """Whether slices are swept by the light, too."""
+        return self.geometry == "half-angle"
 
     @classmethod
     def table_name(cls) -> str:

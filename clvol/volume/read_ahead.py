@@ -5,40 +5,66 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from contextvars import copy_context
+from functools import partial
+from queue import SimpleQueue
 from typing import TYPE_CHECKING
+from weakref import finalize
 
 if TYPE_CHECKING:
     from clvol.volume.volume import Volume
 
 
-class _Reading:
-    """One volume being read by a thread. Threads are daemons: a process that ends does not wait for the file."""
+class _Worker:
+    """A thread that does what it is given, one after the other. It is always the same one, so that the allocator, which
+    keeps memory for every thread, takes for a volume what an earlier one has left. It is a daemon: a process that ends
+    does not wait for a file."""
 
-    def __init__(self, number: int, read: Callable[[int], Volume]) -> None:
+    def __init__(self) -> None:
+        self.queue: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
+        self._thread = threading.Thread(target=_serve, args=(self.queue,), name="clvol-series", daemon=True)
+        self._thread.start()
+        finalize(self, self.queue.put, None).atexit = False
+
+    @property
+    def is_alive(self) -> bool:
+        return self._thread.is_alive()
+
+
+def _serve(queue: SimpleQueue[Callable[[], None] | None]) -> None:
+    while (work := queue.get()) is not None:
+        work()
+        del work  # with the volume that it has read
+
+
+class _Reading:
+    """One volume being read by the thread of ``worker``."""
+
+    def __init__(self, number: int, read: Callable[[int], Volume], worker: _Worker) -> None:
         self.number = number
         self._volume: Volume | None = None
         self._error: BaseException | None = None
-        self._read = read
-        context = copy_context()
-        self._thread = threading.Thread(target=context.run, args=(self._work,), name="clvol-series", daemon=True)
-        self._thread.start()
+        self._read, self._worker, self._done = read, worker, threading.Event()
+        worker.queue.put(partial(copy_context().run, self._work))
 
     def _work(self) -> None:
         try:
             self._volume = self._read(self.number)
         except BaseException as error:  # raised where the volume is taken
             self._error = error
+        finally:
+            self._done.set()
 
     def wait(self) -> None:
         """Returns once it has ended. An interrupt of the main thread gets through."""
-        while self._thread.is_alive():
-            self._thread.join(0.2)
+        while not self._done.wait(0.2) and self._worker.is_alive:
+            pass
 
     def result(self) -> Volume:
         self.wait()
         if self._error is not None:
             raise self._error
-        assert self._volume is not None
+        if self._volume is None:  # in a process that was forked while the thread was reading
+            return self._read(self.number)
         return self._volume
 
 
@@ -53,6 +79,7 @@ class ReadAhead:
         self._lock = threading.RLock()
         self._current: tuple[int, Volume] | None = None
         self._next: _Reading | None = None
+        self._worker: _Worker | None = None
         self.reads = 0
         self.ready = 0  # volumes that had been read ahead, or begun, when they were used
 
@@ -95,7 +122,9 @@ class ReadAhead:
                 self._next.wait()
                 self._next = None
             self.reads += 1
-            self._next = _Reading(number, self._read)
+            if self._worker is None or not self._worker.is_alive:
+                self._worker = _Worker()
+            self._next = _Reading(number, self._read, self._worker)
 
     def close(self) -> None:
         """Lets go of both."""

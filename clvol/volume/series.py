@@ -17,26 +17,22 @@ from clvol.quietly import FILTERS
 from clvol.volume.axis import ValueAxis, turned
 from clvol.volume.grid import Grid
 from clvol.volume.read_ahead import ReadAhead
+from clvol.volume.series_checks import (
+    CONVERTIBLE,
+    StepDiffers,
+    StepRange,
+    check_alike,
+    check_within,
+    checked_range,
+    converted,
+    holds_whole,
+    range_of,
+    without_voxels,
+)
 from clvol.volume.series_steps import Step, steps_of
 from clvol.volume.volume import Census, Volume
 
 _EXCERPT = 1 << 21
-_ALIKE = 1e-5  # tolerance of grids, as a share of a voxel: headers hold few digits
-_CONVERTIBLE = {  # types that hold every value of another type
-    "uint8": ("uint16", "int16", "float32", "float64"), "int8": ("int16", "float32", "float64"),
-    "uint16": ("float32", "float64"), "int16": ("float32", "float64"), "float32": ("float64",),
-}  # fmt: skip
-
-
-@dataclass(frozen=True)
-class StepRange:
-    """What one step holds, in stored numbers: the smallest and the largest finite one (None: no voxel is finite), and
-    how many voxels are NaN, or infinite. ``dtype``: their type as it was read."""
-
-    span: tuple[float, float] | None
-    nans: int
-    infs: int
-    dtype: str
 
 
 @dataclass(frozen=True)
@@ -128,7 +124,7 @@ class VolumeSeries:
         self.files: tuple[str, ...] = tuple(dict.fromkeys(step.path for step in steps if step.path is not None))
         self.ranges: dict[int, StepRange] = {}
         self.failures: dict[int, VolumeError] = {}
-        self._given = None if value_range is None else _checked_range(value_range)
+        self._given = None if value_range is None else checked_range(value_range)
         self._ahead = ReadAhead(self._read)
         self._views: WeakValueDictionary[tuple[int, bool], StepVolume] = WeakValueDictionary()
         self._facts: SeriesFacts | None = None
@@ -215,7 +211,7 @@ class VolumeSeries:
         if then is not None and self._known(then) is None:
             self._ahead.begin(then)
         if k not in self.ranges:  # ``_read`` has counted already where a range was given
-            self.ranges[k] = _range_of(volume)
+            self.ranges[k] = range_of(volume)
         if step.remember is not None:
             step.remember(volume, self.ranges[k])
 
@@ -231,8 +227,8 @@ class VolumeSeries:
         if self._given is not None and (self.steps[0].may_convert or like.narrowed) and like.dtype.kind in "iu":
             span = sorted(like.axis.stored(np.array(self._given)).tolist())
         for name in ("uint8", "int8", "uint16", "int16", "float32", "float64"):
-            holds = span is None or name == "float64" or _holds_whole(np.dtype(name), *span)
-            if holds and all(each == name or name in _CONVERTIBLE.get(each, ()) for each in names):
+            holds = span is None or name == "float64" or holds_whole(np.dtype(name), *span)
+            if holds and all(each == name or name in CONVERTIBLE.get(each, ()) for each in names):
                 return np.dtype(name)
         return np.dtype(np.float64)
 
@@ -313,34 +309,22 @@ class VolumeSeries:
         if getattr(volume, "blocks_source", None) is None:
             _ = volume.data  # of a lazy volume
         if self._like is None:
-            self._like = _without_voxels(volume)
+            self._like = without_voxels(volume)
         else:
             self._compare(volume, step)
         if self._given is not None:
-            found = self.ranges[k] = _range_of(volume)
-            _check_within(found, volume, self._given, step.name)
+            found = self.ranges[k] = range_of(volume)
+            check_within(found, volume, self._given, step.name)
         if self._facts is not None and volume.dtype != self._facts.dtype:
-            volume = _converted(volume, self._facts.dtype, step.name)
+            volume = converted(volume, self._facts.dtype, step.name)
         return volume
 
     def _compare(self, volume: Volume, step: Step) -> None:
         """VolumeError that names ``step`` unless ``volume`` goes with the steps before it."""
         if self._like is None:
-            self._like = _without_voxels(volume)
-            return
-        like, first = self._like, self.steps[0].name
-        if volume.shape != like.shape:
-            sizes = (" x ".join(map(str, each.grid.size)) for each in (volume, like))
-            raise StepDiffers(step.name, f"{next(sizes)} voxels", f"{next(sizes)}, as {first} has")
-        if volume.dtype != like.dtype and not (step.may_convert or (volume.narrowed and like.narrowed)):
-            raise StepDiffers(step.name, f"voxels of type {volume.dtype}", f"{like.dtype}, as {first} has")
-        for what in ("spacing", "origin", "direction"):
-            if not _alike(volume.grid, like.grid, what):
-                said, wanted = (np.round(getattr(each.grid, what), 6).tolist() for each in (volume, like))
-                raise StepDiffers(step.name, f"{what} {said}", f"{wanted}, as {first} has")
-        if volume.axis != like.axis:
-            said, wanted = (f"slope {each.slope:g}, offset {each.offset:g}" for each in (volume, like))
-            raise StepDiffers(step.name, said, f"{wanted}, as {first} has")
+            self._like = without_voxels(volume)
+        else:
+            check_alike(volume, self._like, step, self.steps[0].name)
 
     def turned(self) -> VolumeSeries:
         """A series whose stored numbers have the reverse order (``clvol.volume.axis.turned``)."""
@@ -366,10 +350,6 @@ class VolumeSeries:
         self._ahead.close()
         if self._mirror is not None:
             self._mirror._ahead.close()
-
-
-class StepDiffers(VolumeError):
-    """A step whose shape, grid, type or axis is not that of the steps before it."""
 
 
 class StepVolume(Volume):
@@ -462,67 +442,3 @@ def is_other_step(volume: Volume, than: Volume) -> bool:
         isinstance(volume, StepVolume) and isinstance(than, StepVolume)
         and volume.series is than.series and volume.number != than.number
     )  # fmt: skip
-
-
-def _without_voxels(volume: Volume) -> Volume:
-    """What is stated about ``volume``, to compare others with."""
-    shell = copy.copy(volume)
-    for key in ("data", "_census", "_plain"):
-        vars(shell).pop(key, None)
-    vars(shell)["data"] = np.broadcast_to(np.zeros((), volume.dtype), volume.shape)
-    return shell
-
-
-def _range_of(volume: Volume) -> StepRange:
-    nans, infs = volume.nan_count, volume.inf_count
-    span = None if nans + infs == math.prod(volume.shape) else volume.stored_range
-    return StepRange(span, nans, infs, volume.dtype.name)
-
-
-def _checked_range(value_range: Sequence[float]) -> tuple[float, float]:
-    try:
-        low, high = (float(x) for x in value_range)
-    except (TypeError, ValueError):
-        low, high = math.nan, math.nan
-    if not (math.isfinite(low) and math.isfinite(high) and low <= high):
-        raise VolumeError("value_range", f"got {value_range!r}", "two finite numbers [lowest, highest]")
-    return low, high
-
-
-def _check_within(found: StepRange, volume: Volume, given: tuple[float, float], name: str) -> None:
-    if found.span is None:
-        return
-    low, high = volume.axis.span(found.span)
-    unsure = 1e-9 * max(abs(given[0]), abs(given[1]), abs(low), abs(high))
-    if low < given[0] - unsure or high > given[1] + unsure:
-        what = f"values from {low:.9g} to {high:.9g}, beyond volume.value_range"
-        raise VolumeError(name, what, f"a range that holds those of all steps, here {given[0]:.9g} to {given[1]:.9g}")
-
-
-def _converted(volume: Volume, dtype: np.dtype, name: str) -> Volume:
-    """``volume`` in the type of all steps, which holds its values exactly."""
-    if dtype.name not in _CONVERTIBLE.get(volume.dtype.name, ()):
-        what = f"voxels that need the type {volume.dtype}"
-        raise StepDiffers(name, what, f"{dtype}, as the other steps have")
-    other = copy.copy(volume)
-    for key in ("_census", "_plain"):
-        vars(other).pop(key, None)
-    other.data = volume.data.astype(dtype)
-    other.data.flags.writeable = False
-    return other
-
-
-def _holds_whole(dtype: np.dtype, low: float, high: float) -> bool:
-    """Whether ``dtype`` holds all whole numbers from ``low`` to ``high``."""
-    if dtype.kind == "f":
-        return max(-low, high) <= 2**24
-    limits = np.iinfo(dtype)
-    return bool(limits.min <= low and high <= limits.max)
-
-
-def _alike(one: Grid, other: Grid, what: str) -> bool:
-    first, second = np.asarray(getattr(one, what), float), np.asarray(getattr(other, what), float)
-    edge = np.full(3, other.smallest_edge)
-    scale = {"spacing": np.asarray(other.spacing, float), "origin": edge}.get(what, np.ones(1))
-    return bool(np.all(np.abs(first - second) <= _ALIKE * scale))
-

@@ -13,7 +13,7 @@ from clvol.errors import VolumeError
 from clvol.volume.array_axes import Axis
 
 if TYPE_CHECKING:
-    from clvol.volume.series import StepRange
+    from clvol.volume.series_checks import StepRange
     from clvol.volume.volume import Volume
 
 

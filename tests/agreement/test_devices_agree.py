@@ -49,6 +49,14 @@ def nothing(place: Place):
     return {}
 
 
+def half_angle(place: Place):
+    return {
+        "light": [{"type": "directional", "direction": [0.3, -0.5, 0.6]}], "slicing": {"geometry": "half-angle"},
+        "shadow": {"resolution": 24, "scattering": 0.5},
+        "clip": [{"point": [9.0, 8.0, 7.0], "normal": [1.0, 0.2, 0.3]}],
+    }  # fmt: skip
+
+
 # name: (volume, tables of effects, keys of [integration])
 SCENES = {
     "post": (BYTES, nothing, {}),
@@ -73,6 +81,7 @@ SCENES = {
     "pyramid": (BYTES, nothing, {"method": "pyramid", "classification": "preintegrated"}),
     "multiresolution": (BYTES, nothing, {"method": "multiresolution"}),
     "slicing": (BYTES, nothing, {"method": "slicing"}),
+    "half-angle slices": (BYTES, half_angle, {"method": "slicing"}),
 }  # fmt: skip
 
 
@@ -90,7 +99,7 @@ def frame_on(device, name: str, place: Place):
 
 # Whose kernels Intel's compiler takes most of a minute and more to optimise.
 LONG = {"shadow rays", "environment of a cube", "scattering", "multiresolution", "fields and clips",
-        "Sobel gradients, opacity by gradient"}  # fmt: skip
+        "Sobel gradients, opacity by gradient", "half-angle slices"}  # fmt: skip
 
 
 @pytest.mark.parametrize(

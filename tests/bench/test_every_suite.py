@@ -24,6 +24,7 @@ SUITES = {
     "targets": (("aneurism",), ("aneurism.nrrd",)),
     "multiresolution": (("aneurism",), ("aneurism.nrrd",)),
     "devices": (("aneurism",), ("aneurism.nrrd",)),
+    "workers": ((), ()),
     "slicing": ((), ("engine.nrrd",)),
     "coherence": ((), ("engine.nrrd",)),
     "supersampling": (("aneurism",), ("aneurism.nrrd",)),

@@ -68,7 +68,8 @@ def play(kind: str, folder, truth, seed: int) -> None:
         if kind in ("worker", "all but one"):
             assert command.returncode == 0, said
         elif kind == "scheduler" and command.returncode != 0:
-            assert command.returncode == 4 and "its scheduler is lost" in said and said.count("\n") == 1, said
+            lost = "its scheduler is lost" in said or "does not answer" in said  # while it ran, or at the beginning
+            assert command.returncode == 4 and lost and said.count("\n") == 1, said
             assert not told
         wait_until(lambda: kind == "scheduler" or dask.workers())
     if command.returncode != 0:
@@ -79,7 +80,8 @@ def play(kind: str, folder, truth, seed: int) -> None:
         np.testing.assert_array_equal(np.load(folder / name), rgba)
     for name, inode in before.items():
         assert (folder / name).stat().st_ino == inode, f"{name} was made twice"
-    assert not list(folder.glob(".f_*.claim"))
+    for claim in folder.glob(".f_*.claim"):  # of one that died after its picture was there
+        assert (folder / claim.name.split(".")[1]).with_suffix(".npy").exists()
 
 
 @pytest.mark.slow  # a cluster of five processes, some eight seconds

@@ -23,8 +23,11 @@ from clvol.cluster.connection import check_installed, connected, shares
 from clvol.cluster.facts import Digests
 from clvol.cluster.frames import frames_on_workers
 from clvol.cluster.pictures import ClusterRun
+from clvol.cluster.tiles import tiles_on_workers
 from clvol.errors import ClvolWarning, RenderError, SceneError, UsageError
 from clvol.image import load_image
+from clvol.render.frame import Frame
+from clvol.render.some_tiles import rectangles
 from clvol.scene import load_scene
 
 psutil = pytest.importorskip("psutil", reason="the extra 'distributed' brings it")
@@ -152,6 +155,37 @@ def test_a_brick_that_fails_ends_the_picture(local):
     scene = {"path": "film.toml", "overrides": ["image.width=0"], "count": 2, "devices": None, "memory_cap": None}
     with pytest.raises(SceneError, match="brick [01]: .*image.width"):
         bricks_on_workers(local, bricks, scene, ["film.toml"])
+
+
+def test_tiles_of_workers_are_the_picture_of_one_process(local):
+    overrides = ["animation.frames=1", "image.width=75", "image.height=50"]
+    words = ["--quiet", *(word for each in overrides for word in ("--set", each))]
+    assert main(["render", "film.toml", "-o", "t.npy", "-o", "t.exr", "--stats", "t.json", *words]) == 0
+    whole, known = Frame.load("t.exr"), json.loads(Path("t.json").read_text())
+    scene = {"path": "film.toml", "overrides": overrides, "devices": None, "memory_cap": None, "depth": True}
+    rgba, depth, told = tiles_on_workers(local, scene, (75, 50), ["film.toml", "waves.npy"])
+    np.testing.assert_array_equal(rgba, whole.rgba)
+    np.testing.assert_array_equal(depth, whole.depth)
+    assert (told["samples"], told["rays"]) == (known["samples"], known["rays"]) and told["packages"] >= 4
+    with pytest.raises(SceneError, match="pixels depend on rays elsewhere"):
+        spaced = {**scene, "overrides": [*overrides, "image.ray_spacing=2"]}
+        tiles_on_workers(local, spaced, (75, 50), ["film.toml"])
+    with pytest.raises(SceneError, match="image.samples: got 4, expected 1"):
+        tiles_on_workers(local, {**scene, "overrides": [*overrides, "image.samples=4"]}, (75, 50), ["film.toml"])
+    other = {**scene, "overrides": [*overrides, 'integration.method="reference"']}
+    with pytest.raises(SceneError, match="got 'reference', expected 'raycast'"):
+        tiles_on_workers(local, other, (75, 50), ["film.toml"])
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (512, 300), (17, 400), (1920, 1080)])
+def test_rectangles_make_up_a_picture_in_whole_tiles(width, height):
+    for count in (1, 2, 24, 100, 5000):
+        covered = np.zeros((height, width), int)
+        for left, top, right, bottom in rectangles(width, height, count, 16):
+            assert left % 16 == 0 and top % 16 == 0 and (right % 16 == 0 or right == width)
+            assert bottom % 16 == 0 or bottom == height
+            covered[top:bottom, left:right] += 1
+        assert (covered == 1).all()
 
 
 def test_bricks_are_for_one_picture(capfd):

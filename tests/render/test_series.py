@@ -50,7 +50,7 @@ KINDS = {
     "slicing": {"integration": {"method": "slicing"}},
     "codes": {"compression": {"codec": "vq", "psnr": 40.0}},
 }  # fmt: skip
-FAST = ["plain", "lit", "multiresolution"]
+FAST = ["plain"]
 
 
 @pytest.mark.parametrize("kind", [

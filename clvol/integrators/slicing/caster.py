@@ -25,6 +25,7 @@ _SHAPES = {
     "object-aligned-interpolated": "along-axis",
     "view-aligned": "along-view",
     "shells": "shells",
+    "half-angle": "along-view",  # of scenes in which nothing is lit
 }
 _NOWHERE = SlicePlaces(0.0, 1.0, 1.0, 0)  # those of a picture without pixels
 

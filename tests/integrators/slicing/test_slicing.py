@@ -170,6 +170,18 @@ def test_what_slices_cannot_show_is_refused():
         check_scene(make_scene(method="slicing", compositing="maximum"))
 
 
+def test_both_ends_of_a_slab_sampled_anew_change_no_bit(context):
+    """What the bench measures as the work of textures."""
+    frames = []
+    for samples in (1, 2):
+        scene = slicing_scene()
+        caster = SlicingCaster(context, scene)
+        caster.switches["SLAB_SAMPLES"] = samples
+        frames.append(caster.render(scene.camera, 24, 20))
+    assert np.array_equal(frames[0].rgba, frames[1].rgba)
+    assert 1.7 * frames[0].samples < frames[1].samples < 2 * frames[0].samples
+
+
 def test_early_termination_takes_fewer_samples(context):
     counts = []
     for stop in (0.0, 0.2):
