@@ -26,6 +26,7 @@ GOAL = 0.35  # of the rays of four everywhere
 ERRORS = (1e-2, 3e-3)
 _SIDE, _TARGET_SIDE = 8, 15  # rays per side of a pixel of what is compared with
 THRESHOLDS = (0.02, 0.03, 0.05)
+_FINE = {"step": 1 / 8, "early_termination": 0.0}  # of rays that stand for exact ones
 VARIANTS: dict[str, dict[str, Any]] = {
     "1": {},
     "2": {"samples": 2, "refine": "all"},
@@ -46,10 +47,10 @@ def run(options: Options) -> dict[str, Any] | None:
     }  # fmt: skip
     for scene in available(SCENES, options.scenes, result["missing"]):
         volume, size = scene.load(), QUICK_SIZE if options.quick else SIZE
-        truth = _many_rays(scene, volume, size, device, _SIDE)
+        truth = _many_rays(scene, volume, size, device, _SIDE, _settings(scene))
         result["rows"] += _variants(scene, volume, size, device, truth)
         small = QUICK_SIZE if options.quick else TARGET_SIZE
-        truth = _many_rays(scene, volume, small, device, _TARGET_SIDE)
+        truth = _many_rays(scene, volume, small, device, _TARGET_SIDE, _FINE)
         for error in ERRORS[:1] if options.quick else ERRORS:
             result["targets"].append(_target(scene, volume, small, device, truth, error))
     result["load_after"] = load_average()
@@ -64,13 +65,15 @@ def _rmse(rgba: np.ndarray, truth: np.ndarray) -> float:
     return float(np.sqrt(np.mean((rgba.astype(np.float64) - truth) ** 2)))
 
 
-def _many_rays(scene: BenchScene, volume: Any, size: int, device: Any, side: int) -> np.ndarray:
+def _many_rays(
+    scene: BenchScene, volume: Any, size: int, device: Any, side: int, integration: dict[str, Any]
+) -> np.ndarray:
     """float64 [size, size, 4]: means of ``side`` by ``side`` rays per pixel."""
     from clvol.device.view import PixelLattice
     from clvol.opencl.context import DeviceContext
     from clvol.render.prepared_cache import PreparedCache
 
-    resolved = scene.scene(volume, size, **_settings(scene)).resolve()
+    resolved = scene.scene(volume, size, **integration).resolve()
     context = DeviceContext(device)
     try:
         prepared = PreparedCache(context).prepare(resolved)
