@@ -113,7 +113,7 @@ def _projected(
     """Cells ``places`` int [n, 3] (z, y, x) in the picture; None where the eye is among them."""
     edge = 1 << CELL_SHIFT
     low = places[:, ::-1] * edge
-    high = np.minimum(low + edge, np.asarray(size) - 1)
+    high = np.maximum(np.minimum(low + edge, np.asarray(size) - 1), low)  # blocks may reach beyond the volume
     half = 0.5 * (high - low) @ np.abs(to_edges).T
     radius = np.linalg.norm(half, axis=1) + 1e-3
     is_perspective = frame.lens[0] > 0

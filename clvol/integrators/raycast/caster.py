@@ -9,13 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from clvol.device.arguments import (
-    EFFECT_ARGUMENTS,
-    Arguments,
-    counts_argument,
-    picture_arguments,
-    scene_arguments,
-)
+from clvol.device.arguments import EFFECT_ARGUMENTS, Arguments, counts_argument, picture_arguments, scene_arguments
 from clvol.device.effect_state import COUNTERS, EffectState
 from clvol.device.effect_switches import effect_switches
 from clvol.device.empty_space import dilated, distance_map, surface_mask, visible_mask
@@ -24,12 +18,7 @@ from clvol.device.memory import Perturbation
 from clvol.device.noise import perturbation
 from clvol.device.opacity_factors import layer_functions
 from clvol.device.projection import hidden_score
-from clvol.device.transfer_lookup import (
-    color_shift,
-    cycled_function,
-    device_function,
-    scene_nodes,
-)
+from clvol.device.transfer_lookup import color_shift, cycled_function, device_function, scene_nodes
 from clvol.device.view import EVERY_PIXEL, PixelLattice, PixelList, Pixels, RayFrame
 from clvol.device.volume import DeviceVolume, ResidentVolume
 from clvol.features import reduced_for_frames
@@ -38,37 +27,29 @@ from clvol.integrators.base import FrameData, Progress, Shared
 from clvol.integrators.raycast.cell_depths import cell_depths
 from clvol.integrators.raycast.constant_cells import changing_cells
 from clvol.integrators.raycast.frame_view import frame_view, volume_view
-from clvol.integrators.raycast.history import COHERENT_ARGUMENTS, History, arrays_to_warm_up, render_from_history
+from clvol.integrators.raycast.history import COHERENT_ARGUMENTS, History, render_from_history
 from clvol.integrators.raycast.listed import listed_by_tiles
 from clvol.integrators.raycast.march import March, RayMarch
 from clvol.integrators.raycast.picture import PictureParts, TilesDone, WholePicture
 from clvol.integrators.raycast.step_map import step_map, upload_steps
 from clvol.integrators.raycast.switches import raycast_switches
+from clvol.integrators.raycast.warm_up import warm_up
 from clvol.opencl.arguments import reads, writes
-from clvol.opencl.context import DeviceArray, DeviceContext, restore_interrupts
+from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import EFFECTS, FIELD, NOISE_TERM, view_dtype
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
-from clvol.schedule.tiles import TILE, bands, tiling
+from clvol.schedule.tiles import TILE, bands
 from clvol.transfer import TransferFunction
 from clvol.transfer.lookup_nodes import LookupNodes, visible_cells
 from clvol.transfer.opacity_envelope import opacity_envelope
-from clvol.transfer.pieces import (
-    columns,
-    piece_count,
-    piece_table,
-    shown_spans,
-    value_gate,
-)
+from clvol.transfer.pieces import columns, piece_count, piece_table, shown_spans, value_gate
 
 SECONDS_A_SAMPLE = 1e-8  # a first guess, used to divide a frame into launches
 _BAND_SECONDS = 0.5
 _PACE_MARGIN = 4.0  # tiles may take this many times as long as those before them
 _KEPT = 6  # volumes; a search for settings may render many variants of one
-_COARSE_ARGUMENTS = (
-    reads("coarse", np.float32, "columns", "rows", 4),
-    reads("coarse_depths", np.float32),
-)
+_COARSE_ARGUMENTS = (reads("coarse", np.float32, "columns", "rows", 4), reads("coarse_depths", np.float32))
 _LISTED = (reads("listed", np.int32, "width", "height", 2),)
 
 Caster = TypeVar("Caster", bound="Raycaster")
@@ -156,9 +137,7 @@ class Raycaster:
         visible = visible_cells(mapped, self.nodes.values)
         self.gate, self.spans = value_gate(mapped), shown_spans(mapped)
         at_nodes = mapped.opacity(self.nodes.values) > 0
-        mask = visible_mask(
-            self.volume, resolved.integration.filter, self.nodes, visible, at_nodes, self._moved
-        )
+        mask = visible_mask(self.volume, resolved.integration.filter, self.nodes, visible, at_nodes, self._moved)
         if resolved.isosurfaces:
             mask |= self._surface_cells()
         if resolved.integration.compositing != "over":  # a mean may be a value that occurs in no cell
@@ -217,11 +196,7 @@ class Raycaster:
             )
 
     def _scene_arrays(self) -> dict[str, DeviceArray]:
-        return {
-            "volume": self.volume.voxels,
-            "table": self.table,
-            "distances": self.distances,
-        }
+        return {"volume": self.volume.voxels, "table": self.table, "distances": self.distances}
 
     def _surface_cells(self) -> np.ndarray:
         """bool [z, y, x]: cells in which an iso-surface can be. The effects get the distances to them."""
@@ -388,42 +363,11 @@ class Raycaster:
 
     def warm_up(self, width: int, height: int, depth: bool = True) -> None:
         """Compiles everything that a frame of this size needs, by launching it: drivers finish compiling then."""
-        self._warm_up(width, height, depth, None)
+        warm_up(self, width, height, depth, None)
 
     def warm_up_parts(self, width: int, height: int, depth: bool = True) -> None:
         """As ``RendersParts.warm_up_parts``."""
-        self._warm_up(width, height, depth, np.zeros(1, np.int64))
-
-    def _warm_up(self, width: int, height: int, depth: bool, chosen: np.ndarray | None) -> None:
-        """``chosen``: the tiles of a picture without pixels that are launched; None: all."""
-        tiles = tiling(width, height, *self.tile).count
-        fills, lists = self.resolved.image.ray_spacing > 1, self.resolved.image.refines and self.lists_rays
-        how = depth, fills, lists, chosen is None
-        key = (type(self.march), self.tile, tiles, *how, tuple(self.switches.items()))
-        if key in self.context.warmed or self.shows_nothing:
-            return
-        self.march.begin(self, None, width, height)
-        view = np.zeros(1, self.view_dtype)  # an image without pixels: every work-item returns
-        view["tile"] = self.tile
-        counts = [self.context.empty(np.uint32, (tiles,)) for _ in range(2)]
-        none = {"image": self.no_array, "depths": self.no_array, "samples": counts[0]}
-        if chosen is None:
-            none |= arrays_to_warm_up(self, tiles)
-        tallies = []  # kept until they are written
-        if self.without_surfaces is None:
-            tallies.append(self.launches("raycast", view, tiles, depth, None, none, chosen))
-        else:
-            for engine in (self, self.without_surfaces):
-                tallies.append(engine.launches("raycast", view, tiles, depth, None, none, np.zeros(1, np.int64)))
-        if fills:
-            more = {"coarse": self.no_array, "coarse_depths": self.no_array, "rays": counts[1]}
-            tallies.append(self.launches("fill_between_rays", view, tiles, depth, None, none | more, chosen))
-        if lists:
-            none |= {"listed": self.context.empty(np.int32, (2,))}
-            tallies.append(self.launches("listed_rays", view, tiles, depth, None, none, chosen))
-        self.context.finish()
-        restore_interrupts()
-        self.context.warmed.add(key)
+        warm_up(self, width, height, depth, np.zeros(1, np.int64))
 
     def launches(
         self,
