@@ -40,9 +40,9 @@ def few_tunables(monkeypatch):
         monkeypatch.setattr(module, "scene_tunables", only_two)
 
 
-def only_two(resolved):
+def only_two(resolved, area=False):
     keys = "integration.step", "integration.classification"
-    return {key: tunable for key, tunable in scene_tunables(resolved).items() if key in keys}
+    return {key: tunable for key, tunable in scene_tunables(resolved, area).items() if key in keys}
 
 
 def test_the_error_holds(device, two, few_tunables, scene):

@@ -156,8 +156,8 @@ def few_tunables(monkeypatch):
     def keep(*keys):
         real = scene_tunables
 
-        def found(resolved):
-            return {key: tunable for key, tunable in real(resolved).items() if key in keys}
+        def found(resolved, area=False):
+            return {key: tunable for key, tunable in real(resolved, area).items() if key in keys}
 
         monkeypatch.setattr(tradeoff, "scene_tunables", found)
 
