@@ -18,11 +18,13 @@ from clvol.cli.outputs import check_frames
 from clvol.cli.standard_output import STANDARD, is_standard, kept_clean
 from clvol.cli.verbose import log_scene
 from clvol.cli.video_parts import VideoParts
+from clvol.cli.write_behind import WriteBehind
 from clvol.errors import UsageError, VolumeError
 
 if TYPE_CHECKING:
     from clvol.batch.frames import Frames, Timed
     from clvol.cli.console import ShowProgress
+    from clvol.render.frame import Frame
     from clvol.scene import Scene
     from clvol.scene.resolve import ResolvedScene
 
@@ -43,11 +45,11 @@ def render_animation(
 ) -> None:
     """Renders ``frames`` of ``scene``, and prints the names of the files written.
 
-    The pictures of a frame appear together when it is done, and stay even if a later frame fails. Videos and stats
-    appear at the end or not at all. ``resume``: a frame is not rendered again if all its pictures exist, are whole,
-    and were made from the same scene, voxels and version (``clvol.render.made_from``); frames are claimed
-    (``clvol.batch.claims``), so that several processes can share a folder. A video's frames are then kept as pictures
-    until it is complete (``clvol.cli.video_parts``).
+    The pictures of a frame appear together when it is done, while the next one is rendered, and stay even if a later
+    frame fails. Videos and stats appear at the end or not at all. ``resume``: a frame is not rendered again if all its
+    pictures exist, are whole, and were made from the same scene, voxels and version (``clvol.render.made_from``);
+    frames are claimed (``clvol.batch.claims``), so that several processes can share a folder. A video's frames are then
+    kept as pictures until it is complete (``clvol.cli.video_parts``).
 
     Of a series, the step of the next frame is read while one is rendered. Where a step cannot be read, pictures of the
     other frames are rendered all the same, and the exit status at the end is that of the error.
@@ -98,6 +100,7 @@ def render_animation(
                 progress(None, None, f"rendering {len(todo)} frames of {size}")
             stack.enter_context(renderer)
         claims = stack.enter_context(Claims()) if resume and todo else None
+        behind = stack.enter_context(WriteBehind())
         rendered, places_of = 0, {frame[0]: place for place, frame in enumerate(todo)}
         for timed in _shared(todo, claims, film, progress):
             index = timed[0]
@@ -111,14 +114,21 @@ def render_animation(
                 failed.append(index)
                 say_error(f"frame {index}: {error}")
                 continue
-            write_start = time.perf_counter()
             if claims is not None and not claims.owns(film.names(index)[0]):
                 continue  # this process was stopped for so long that another one has taken over
-            written += film.write(frame, index)[: len(stills)]
-            for writer in () if kept is not None else writers:
-                writer.add(frame)
+
+            def write(frame: Frame = frame, index: int = index) -> None:
+                begun = time.perf_counter()
+                written.extend(film.write(frame, index)[: len(stills)])
+                for writer in () if kept is not None else writers:
+                    writer.add(frame)
+                totals.add(frame.stats, time.perf_counter() - begun)
+
+            behind.add(write)
+            if claims is not None or resolved.steps is not None:
+                behind.finish()  # a claim lasts until its picture is there; few steps are in memory at a time
             rendered += 1
-            totals.add(frame.stats, time.perf_counter() - write_start)
+        behind.finish()
         if progress is not None:
             progress(None, None, "writing")
         write_start = time.perf_counter()
