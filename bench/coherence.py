@@ -81,9 +81,9 @@ class Counting(Raycaster):
             self.effects.set_surfaces(distance_map(self.context, np.ones_like(mask)))
         return mask
 
-    def launches(self, name, view, tiles, depth, progress, outputs, chosen=None):  # type: ignore[no-untyped-def]
+    def launches(self, name, view, tiles, depth, progress, outputs, *more):  # type: ignore[no-untyped-def]
         self.samples = outputs["samples"]
-        return super().launches(name, view, tiles, depth, progress, outputs, chosen)
+        return super().launches(name, view, tiles, depth, progress, outputs, *more)
 
 
 def run(options: Options) -> dict[str, Any] | None:
