@@ -72,3 +72,9 @@ class RenderError(ClvolError):
     """Rendering or writing the picture failed."""
 
     exit_status = 4
+
+
+def error_of_status(status: int) -> type[ClvolError]:
+    """The kind of error to raise for one of another process that ended with exit ``status``, of which no more is
+    known. KeyError for a status that no error has."""
+    return {each.exit_status: each for each in (RenderError, DeviceError, SceneError)}[status]

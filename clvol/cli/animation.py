@@ -141,11 +141,7 @@ def render_animation(
             totals.seconds |= {"load": load_seconds, "total": time.perf_counter() - start}
             known = totals.stats() | {"frames": rendered, "frames_kept": len(wanted) - rendered - len(failed)}
             known |= {"frames_failed": failed} if failed else {}
-            text = to_json(known) + "\n"
-            if is_standard(stats):
-                write_standard(text.encode())
-            else:
-                temporaries[-1].write_text(text, encoding="utf-8")
+            write_stats(known, write_standard if is_standard(stats) else temporaries[-1].write_bytes)
     if kept is not None:
         kept.remove(frame[0] for frame in wanted)
     for path in [*written, *videos, *others]:
@@ -157,6 +153,11 @@ def render_animation(
             note(f"{others_made} of {len(wanted)} frames were made by other processes")
     if failed:
         raise Exit(VolumeError.exit_status)
+
+
+def write_stats(known: dict[str, Any], write: Callable[[bytes], object]) -> None:
+    """Writes ``known`` as JSON by ``write``."""
+    write(f"{to_json(known)}\n".encode())
 
 
 def frame_range(text: str, count: int) -> slice:

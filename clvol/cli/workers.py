@@ -12,7 +12,7 @@ import click
 
 from clvol.batch.names import numbered
 from clvol.cli.options import complete_file
-from clvol.errors import ClvolError, DeviceError, RenderError, SceneError, UsageError
+from clvol.errors import ClvolError, UsageError, error_of_status
 
 if TYPE_CHECKING:
     from clvol.cli.console import ShowProgress
@@ -96,8 +96,8 @@ def render_on_workers(
     from ``path`` with ``overrides``. Workers write the numbered pictures. A frame that fails does not stop the
     others; the error of the worst is raised at the end."""
     from clvol.batch.frames import Animation
-    from clvol.cli.animation import Totals, checked_outputs, made_from_all
-    from clvol.cli.console import note, say_path, to_json, working
+    from clvol.cli.animation import Totals, checked_outputs, made_from_all, write_stats
+    from clvol.cli.console import note, say_path, working
     from clvol.cli.standard_output import is_standard, kept_clean
     from clvol.cluster.frames import MadeFrame, frames_on_workers
     from clvol.image import atomic_paths, open_video
@@ -147,11 +147,7 @@ def render_on_workers(
             totals.seconds["total"] = time.perf_counter() - start
             workers = len({frame.worker for frame in made if frame.worker})
             known = totals.stats() | {"frames": len(made) - kept, "frames_kept": kept, "workers": workers}
-            text = to_json(known) + "\n"
-            if is_standard(stats):
-                write_standard(text.encode())
-            else:
-                temporaries[-1].write_text(text, encoding="utf-8")
+            write_stats(known, write_standard if is_standard(stats) else temporaries[-1].write_bytes)
     say = note if is_standard(stats) else say_path
     written = sorted(frame.index for frame in made if not frame.is_kept and frame.error is None)
     for name in [*(numbered(each, index) for index in written for each in stills), *videos, *others]:
@@ -189,6 +185,5 @@ def picture_elsewhere(
 def _as_error(failed: Sequence[MadeFrame]) -> ClvolError:
     """The error of the worst frame, with the status that it stands for."""
     worst = max(failed, key=lambda frame: (frame.status, -frame.index))
-    kind = {each.exit_status: each for each in (RenderError, DeviceError, SceneError)}[worst.status]
     more = f", and {len(failed) - 1} other frames failed" if len(failed) > 1 else ""
-    return kind("--workers", f"{worst.error}{more}")
+    return error_of_status(worst.status)("--workers", f"{worst.error}{more}")

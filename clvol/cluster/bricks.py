@@ -12,9 +12,8 @@ from clvol.bricks.render import Bricks
 from clvol.cluster import worker
 from clvol.cluster.connection import Connection
 from clvol.cluster.facts import Digests
-from clvol.cluster.frames import warn_as_told
+from clvol.cluster.frames import part_of_picture
 from clvol.cluster.queue import TaskQueue
-from clvol.errors import DeviceError, RenderError, SceneError
 
 
 def bricks_on_workers(
@@ -32,13 +31,8 @@ def bricks_on_workers(
     partial: dict[int, np.ndarray] = {}
     samples, workers, largest = 0, set(), 0
     for answer in queue.run([{**common, "brick": number} for number in range(count)]):
-        warn_as_told(answer)
-        said = answer.said
-        if answer.error is not None:
-            raise RenderError(f"brick {answer.number}", answer.error)
-        if "error" in said:
-            kinds = {each.exit_status: each for each in (RenderError, DeviceError, SceneError)}
-            raise kinds[int(said["status"])](f"brick {answer.number}", str(said["error"]))
+        name = f"brick {answer.number}"
+        said = part_of_picture(answer, name, name)
         partial[answer.number] = said["pixels"]
         samples, largest = samples + int(said["samples"]), max(largest, int(said["bytes"]))
         workers.add(said["worker"])

@@ -15,7 +15,7 @@ from clvol.cluster import worker
 from clvol.cluster.connection import Connection
 from clvol.cluster.facts import Digests
 from clvol.cluster.queue import Answer, TaskQueue
-from clvol.errors import ClvolWarning
+from clvol.errors import ClvolWarning, RenderError, error_of_status
 
 _AHEAD = 64  # frames of a video that may wait for an earlier one
 
@@ -68,6 +68,17 @@ def in_order(answers: Iterator[Answer]) -> Iterator[Answer]:
 def warn_as_told(answer: Answer) -> None:
     for where, what, advice in answer.said.get("warnings", []):
         warnings.warn(ClvolWarning(where, what, advice), stacklevel=3)
+
+
+def part_of_picture(answer: Answer, part: str, where: str) -> dict[str, Any]:
+    """What the worker of a ``part`` of one picture said. An error ends the picture, which would lack the part; what its
+    worker reports is raised as an error of ``where``. Warnings become warnings here."""
+    warn_as_told(answer)
+    if answer.error is not None:
+        raise RenderError(part, answer.error)
+    if "error" in answer.said:
+        raise error_of_status(int(answer.said["status"]))(where, str(answer.said["error"]))
+    return answer.said
 
 
 def _made(index: int, answer: Answer) -> MadeFrame:

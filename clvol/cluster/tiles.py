@@ -11,9 +11,8 @@ import numpy as np
 from clvol.cluster import worker
 from clvol.cluster.connection import Connection
 from clvol.cluster.facts import Digests
-from clvol.cluster.frames import warn_as_told
+from clvol.cluster.frames import part_of_picture
 from clvol.cluster.queue import TaskQueue
-from clvol.errors import DeviceError, RenderError, SceneError
 from clvol.render.some_tiles import rectangles
 from clvol.schedule.tiles import TILE
 
@@ -41,14 +40,8 @@ def tiles_on_workers(
     counters: dict[str, int] = {}
     used = set()
     for done, answer in enumerate(queue.run([{**common, "rectangle": part} for part in parts]), 1):
-        warn_as_told(answer)
-        said = answer.said
         left, top, right, bottom = parts[answer.number]
-        if answer.error is not None:
-            raise RenderError(f"rows {top} to {bottom}", answer.error)
-        if "error" in said:
-            kinds = {each.exit_status: each for each in (RenderError, DeviceError, SceneError)}
-            raise kinds[int(said["status"])]("--workers", str(said["error"]))
+        said = part_of_picture(answer, f"rows {top} to {bottom}", "--workers")
         rgba[top:bottom, left:right] = said["pixels"][..., :4]
         if depth is not None:
             depth[top:bottom, left:right] = said["pixels"][..., 4]
