@@ -7,7 +7,7 @@
 #ifndef MARCH_BLOCKS_H
 #define MARCH_BLOCKS_H
 
-#include "blend_blocks.h"
+#include "block_runs.h"
 #include "classify.h"
 #include "features.h"
 #include "half_opacity.h"
@@ -30,18 +30,12 @@ INLINE void place_on_ray(const Rays *ray, const BlockVolume *v, floatN t, floatN
 }
 
 /* Several steps of a packet: where samples are taken does not depend on what they are. So places come first, then all
- * values, in as few passes as they fill, then classification in order. A ray that turns out to be opaque on the way
- * has taken a few samples in vain. */
-
+ * values (block_runs.h), then classification in order. A ray that turns out to be opaque on the way has taken a few
+ * samples in vain. */
 typedef struct {
   float t[QUEUED_STEPS][LANES];    /* of the sample (preintegrated), or of the end of its segment (post) */
   int active[QUEUED_STEPS][LANES];
-#if LANES > 1
-  float value[FETCHES * LANES]; /* of samples, then of pairs that are blended in */
-  Fetch fetches[FETCHES];
-#else
-  float value[QUEUED_STEPS];
-#endif
+  BlockRun run;
 } March;
 
 INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
@@ -69,9 +63,6 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
   floatN t = 0.0f;                     /* the next sample */
 #endif
 
-#if INTERBLOCK && LANES > 1
-  PlaceQueue queue;
-#endif
   while (any_lane(active)) {
 #if SKIP_EMPTY
     /* A segment that is open depends on its front and the sample before that one. A leap opens a new one. */
@@ -93,9 +84,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
     if (!any_lane(active)) break;
 #endif
     March m;
-#if INTERBLOCK && LANES > 1
-    queue.count = 0;
-#endif
+    run_begin(&m.run);
     Record here = record_at(v, (floatN)0.5f, (floatN)0.5f, (floatN)0.5f);
     int kind = alike(v, &here);
     intN walks = active;
@@ -119,21 +108,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
       STORE_LANES(next_t, m.t[step]);
 #endif
       STORE_LANES(walks, m.active[step]);
-#if LANES == 1
-      const BlockPlace place = place_in_block(v, &here, x, y, z);
-      const floatN value = value_in_block(v, &place);
-#if INTERBLOCK
-      m.value[step] = walks && place.outside ? blend_blocks(v, &here, x, y, z, value, counted) : value;
-#else
-      m.value[step] = value;
-#endif
-#else
-      const intN outside = place_fetch(v, &m.fetches[step], &here, kind, x, y, z);
-#if INTERBLOCK
-      queue_places(&queue, x, y, z, step, outside & walks);
-#endif
-#endif
-      count_lanes(&counted[COUNT_BLOCK_READS], walks);
+      run_place(v, &m.run, step, &here, kind, x, y, z, walks, counted);
       taken -= AS_UINT(walks);
       walks &= MASK(next_t < end);
       next_t = select(next_t, far, walks);
@@ -141,27 +116,12 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
       walks &= MASK(far < end);
 #endif
     }
-#if LANES > 1
-    int vectors = QUEUED_STEPS;
-#if INTERBLOCK
-    PairQueue pairs;
-    if (queue.count) vectors += queue_pairs(v, &queue, &pairs, m.fetches + QUEUED_STEPS, counted);
-#endif
-    _Pragma("unroll 1") for (int k = 0; k < vectors; ++k)
-      STORE_LANES(fetched_value(v, &m.fetches[k]), m.value + k * LANES);
-#if INTERBLOCK
-    if (queue.count) blend_pairs(&queue, &pairs, m.value + QUEUED_STEPS * LANES);
-#endif
-#endif
+    run_end(v, &m.run, QUEUED_STEPS, counted);
     t = select(t, next_t, active);
     _Pragma("unroll 1") for (int step = 0; step < QUEUED_STEPS; ++step) {
       active &= LOAD_LANES(m.active[step]);
       if (!any_lane(active)) break;
-      floatN value = LOAD_LANES(m.value + step * LANES);
-      const floatN at_t = LOAD_LANES(m.t[step]);
-#if INTERBLOCK && LANES > 1
-      value = blended_value(&queue, step, value);
-#endif
+      const floatN value = run_value(&m.run, step), at_t = LOAD_LANES(m.t[step]);
 #if MIDPOINTS
       if (may_be_visible(value, value, active, view)) {
         const floatN before = acc.a;

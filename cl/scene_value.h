@@ -7,6 +7,9 @@
 #include "noise.h"
 #include "sample_volume.h"
 #include "scene.h"
+#if BLOCKS
+#include "sample_blocks.h"
+#endif
 
 /* The value at a lattice point. Both kinds of noise are taken there; a place that is moved out of the domain is taken
  * back to its face. */
@@ -21,7 +24,11 @@ INLINE floatN scene_value(const Scene *scene, floatN x, floatN y, floatN z)
 #if NOISE & NOISE_MOVES
   displace(scene->noise, e->noise_terms + e->added_terms, e->moving_terms, &x, &y, &z);
 #endif
+#if BLOCKS
+  const floatN value = blocks_value(&scene->blocks, x, y, z, ~(intN)0, BLOCK_TALLIES(scene->tallies));
+#else
   const floatN value = sample_value(fetch_sample(scene->volume, scene->view, x, y, z), scene->view);
+#endif
 #if NOISE & NOISE_ADDS
   return value + added;
 #else
@@ -31,6 +38,9 @@ INLINE floatN scene_value(const Scene *scene, floatN x, floatN y, floatN z)
 
 #if GRADIENT
 #include "gradient.h"
+#if BLOCKS
+#include "gradient_blocks.h"
+#endif
 
 /* Its gradient, per edge along the local axes. With noise: differences of values over a smallest edge along the
  * lattice axes, one-sided at the volume's faces. */
@@ -59,6 +69,8 @@ INLINE Vectors scene_gradient(const Scene *scene, floatN x, floatN y, floatN z)
   }
   Gradient g = {slope[0], slope[1], slope[2]};
   g = finite_gradient(g);
+#elif BLOCKS
+  const Gradient g = blocks_gradient(&scene->blocks, x, y, z, ~(intN)0, BLOCK_TALLIES(scene->tallies));
 #else
   const Gradient g = gradient_at(scene->volume, scene->gradients, scene->view, scene->effects->gradient_scale, x, y, z);
 #endif

@@ -24,6 +24,14 @@
 #define FACE_MARGIN(view) (1e-3f + 2e-7f * max(max(view->upper.x, view->upper.y), view->upper.z))
 #define SHARE_OF_T 5e-7f
 
+/* A lattice coordinate among the cells: those of blocks lie in their places (blocks.h), half a unit further on. Rays of
+ * march_blocks.h are in these places themselves. */
+#if BLOCKS && EFFECTS
+#define AMONG_CELLS(x) ((x) + 0.5f)
+#else
+#define AMONG_CELLS(x) (x)
+#endif
+
 /* For each ray at parameter t (in steps): t itself where its cell is visible, else where it first enters a visible
  * cell (a little before), or infinity if it never does before `end`. All rays of the packet leap together. */
 INLINE floatN next_visible(__global const uchar *distances, __constant const View *view, floatN t, floatN end,
@@ -31,6 +39,7 @@ INLINE floatN next_visible(__global const uchar *distances, __constant const Vie
 {
   const int shift = view->cell_shift, slice = view->cells.x * view->cells.y;
   const intN zero = 0, last_x = view->cells.x - 1, last_y = view->cells.y - 1, last_z = view->cells.z - 1;
+  const floatN x0 = AMONG_CELLS(ray->x0), y0 = AMONG_CELLS(ray->y0), z0 = AMONG_CELLS(ray->z0);
   const intN right = MASK(ray->dx > 0.0f), down = MASK(ray->dy > 0.0f), away = MASK(ray->dz > 0.0f);
   const floatN fastest = lane_max(lane_max(fabs(ray->dx), fabs(ray->dy)), fabs(ray->dz));
   const floatN least_margin = FACE_MARGIN(view) / lane_max(fastest, (floatN)1e-12f);
@@ -38,11 +47,11 @@ INLINE floatN next_visible(__global const uchar *distances, __constant const Vie
   active &= MASK(t < end);
   while (any_lane(active)) {
     COUNT_LEAP(counted, active)
-    const intN cx = min(TO_INT(lane_clamp(ray->x0 + t * ray->dx, (floatN)0.0f, (floatN)view->upper.x)) >> shift,
+    const intN cx = min(TO_INT(lane_clamp(x0 + t * ray->dx, (floatN)0.0f, (floatN)view->upper.x)) >> shift,
                         last_x);
-    const intN cy = min(TO_INT(lane_clamp(ray->y0 + t * ray->dy, (floatN)0.0f, (floatN)view->upper.y)) >> shift,
+    const intN cy = min(TO_INT(lane_clamp(y0 + t * ray->dy, (floatN)0.0f, (floatN)view->upper.y)) >> shift,
                         last_y);
-    const intN cz = min(TO_INT(lane_clamp(ray->z0 + t * ray->dz, (floatN)0.0f, (floatN)view->upper.z)) >> shift,
+    const intN cz = min(TO_INT(lane_clamp(z0 + t * ray->dz, (floatN)0.0f, (floatN)view->upper.z)) >> shift,
                         last_z);
     const intN D = AS_INT(gather1(distances, cz * slice + (cy * view->cells.x + cx)) & 255u);
     active &= MASK(D > zero);
@@ -50,9 +59,9 @@ INLINE floatN next_visible(__global const uchar *distances, __constant const Vie
     const intN fx = select(cx - D + 1, cx + D, right) << shift;
     const intN fy = select(cy - D + 1, cy + D, down) << shift;
     const intN fz = select(cz - D + 1, cz + D, away) << shift;
-    const floatN leave = lane_min(lane_min((TO_FLOAT(fx) - ray->x0) * ray->rx + ray->px,
-                                           (TO_FLOAT(fy) - ray->y0) * ray->ry + ray->py),
-                                  (TO_FLOAT(fz) - ray->z0) * ray->rz + ray->pz);
+    const floatN leave = lane_min(lane_min((TO_FLOAT(fx) - x0) * ray->rx + ray->px,
+                                           (TO_FLOAT(fy) - y0) * ray->ry + ray->py),
+                                  (TO_FLOAT(fz) - z0) * ray->rz + ray->pz);
     const floatN face = lane_max(leave, t), margin = least_margin + SHARE_OF_T * face;
     entered = select(entered, face - margin, active);
     t = select(t, face + margin, active);

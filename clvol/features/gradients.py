@@ -10,6 +10,10 @@ from clvol.scene.gradient import GradientSettings
 from clvol.scene.resolve import ResolvedScene
 
 
+def reads_blocks(scene: ResolvedScene) -> bool:
+    return scene.integration.method == "multiresolution"
+
+
 def uses_of_gradients(scene: ResolvedScene, lit: bool) -> list[str]:
     """What needs gradients in a reduced scene."""
     uses = {
@@ -43,6 +47,8 @@ def analyse(found: Findings) -> None:
         else:
             _note_operator(found, settings)
             _note_storage(found, settings)
+            if reads_blocks(scene):
+                kept = settings.model_copy(update={"storage": "on-the-fly"})
     found.change(gradient=kept)
 
 
@@ -54,6 +60,10 @@ def _note_operator(found: Findings, settings: GradientSettings) -> None:
 
 def _note_storage(found: Findings, settings: GradientSettings) -> None:
     volume = found.scene.volume
+    if reads_blocks(found.scene):
+        reason = "those of blocks are differences of the values blended between them"
+        found.note(no("precomputed gradients", reason))
+        return
     chosen = chosen_storage(volume, settings.operator, settings.storage, UNLIMITED)
     is_stored = chosen == "precomputed"
     reason = f"the storage is {settings.storage!r}"

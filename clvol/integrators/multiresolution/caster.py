@@ -7,11 +7,13 @@ from typing import Any, TypeVar
 import numpy as np
 
 from clvol.device.arguments import (
+    EFFECT_ARGUMENTS,
     Arguments,
     block_arguments,
     scene_arguments,
     view_argument,
 )
+from clvol.device.effect_state import COUNTERS
 from clvol.device.transfer_lookup import device_function, scene_nodes, segment_classification
 from clvol.device.view import ray_frame
 from clvol.device.volume import ResidentVolume
@@ -80,7 +82,8 @@ def blocks_struct(grid: BlockGrid) -> np.ndarray:
 
 
 class BlockCaster(Raycaster):
-    """As ``Raycaster``, for scenes of emission and absorption and the method "multiresolution".
+    """As ``Raycaster``, for the method "multiresolution". Scenes with effects take even steps, by the marches of the ray
+    caster (cl/march_shaded.h, cl/march_effects.h), whose values and gradients are those of blocks.
 
     ``blocks``: the resident blocks. ``render`` shows the blocks that are resident at that moment; ``set_resident`` must
     be called after they have changed.
@@ -138,13 +141,14 @@ class BlockCaster(Raycaster):
         self.switches = block_switches(
             self.resolved, self.lanes, self.skip, self.stepping, self.function
         )
-        self.switches |= self.blocks.switches | self.march.switches()
+        self.switches |= self.blocks.switches | self.effects.switches | self.march.switches()
 
     def _fitting_stepping(self) -> str:
         """The scene's stepping, or "full" where it gives the same steps: if all visible blocks are to be at full
-        resolution, one step per sample is an even step, for which there is a faster kernel."""
+        resolution, one step per sample is an even step, for which there is a faster kernel. Scenes with effects take
+        even steps."""
         stepping, goal = self.settings.stepping, self.blocks.goal
-        if stepping == "pyramid":  # its march takes steps of its own
+        if stepping == "pyramid" or self.effects.switches:  # its march takes steps of its own
             return "full"
         is_even = not ((goal > 0) & (goal != DROPPED)).any()
         return "full" if is_even and stepping in ("limited", "naive") else stepping
@@ -261,25 +265,35 @@ class BlockCaster(Raycaster):
 
     @property
     def _sample_arguments(self) -> tuple[Arguments, dict[str, DeviceArray]]:
-        return self._declared, self._block_arrays()
+        if not self.effects.switches:
+            return self._declared, self._block_arrays()
+        return EFFECT_ARGUMENTS + self._declared, {**self.effects.arrays, **self._block_arrays()}
 
     @property
     def _counter_names(self) -> tuple[str, ...]:
-        return (*self.march.counters, *BLOCK_COUNTERS)
+        return (*super()._counter_names, *BLOCK_COUNTERS)
+
+    def counted(self, counts: np.ndarray) -> dict[str, int]:
+        """As in ``Raycaster``, with what blocks count."""
+        sums = counts.sum(axis=0, dtype=np.uint64)
+        named = {name: int(total) for name, total in zip(self._counter_names, sums)}
+        shown = self.effects.counted({name: named[name] for name in COUNTERS if name in named})
+        return {name: total for name, total in named.items() if name not in COUNTERS or name in shown}
 
     # As ``RayEngine``, for ``TiledRenderer``
 
     def packets(self, depth: bool) -> PacketRenderer:
         switches = {**self.switches, "WITH_DEPTH": int(depth)}
         self.check_structs(switches)
+        declared, arrays = self._sample_arguments
         return PacketRenderer(
             "tile_rays.cl",
             switches,
-            scene_arguments(self.volume.switches["VOXEL_BITS"]) + self._declared,
-            {**self._scene_arrays(), **self._block_arrays()},
+            scene_arguments(self.volume.switches["VOXEL_BITS"]) + declared,
+            {**self._scene_arrays(), **arrays},
             self.lanes,
             self._most_samples() * SECONDS_A_SAMPLE,
-            len(BLOCK_COUNTERS),
+            len(self._counter_names),
         )
 
     def picture_view(self, camera: Camera, width: int, height: int) -> np.ndarray:
@@ -307,11 +321,11 @@ def block_switches(
     """The switches (-D) for a scene of blocks, without those of the samples' type and buffers.
     ``stepping`` and ``function``: used in place of the scene's."""
     settings = resolved.multiresolution
+    switches = raycast_switches(resolved, lanes=lanes, skip=skip, function=function)
+    even = stepping is None and switches.get("EFFECTS")
     return {
-        **raycast_switches(
-            resolved, lanes=lanes, skip=skip, function=function
-        ),
+        **switches,
         "BLOCKS": 1,
-        "STEPPING": STEPPINGS[stepping or settings.stepping],
+        "STEPPING": STEPPINGS["full" if even else stepping or settings.stepping],
         "INTERBLOCK": int(settings.interblock),
     }
