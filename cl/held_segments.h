@@ -124,7 +124,18 @@ INLINE void composite_held(const Scene *scene, HeldSegments *held, Gathered *acc
 {
   /* What is behind the last entry is not used, but needs a place. */
   STORE_LANES((floatN)0.0f, held->lane + held->entries), STORE_LANES((floatN)held->t[0], held->t + held->entries);
-#if LIGHTING
+#if LIGHTING && BLOCKS && LANES > 1
+  _Pragma("unroll 1") for (int k = 0; k < held->entries; k += LANES) {
+    const Vectors place = places_of(entries_at(held, k, ray), ray);
+    STORE_LANES(place.x, held->gx + k), STORE_LANES(place.y, held->gy + k), STORE_LANES(place.z, held->gz + k);
+  }
+  blocks_gradients(&scene->blocks, held->entries, held->gx, held->gy, held->gz, BLOCK_TALLIES(scene->tallies));
+  _Pragma("unroll 1") for (int k = 0; k < held->entries; k += LANES) {
+    const Vectors gradient = gradient_to_local(scene->effects, LOAD_LANES(held->gx + k), LOAD_LANES(held->gy + k),
+                                               LOAD_LANES(held->gz + k));
+    STORE_LANES(gradient.x, held->gx + k), STORE_LANES(gradient.y, held->gy + k), STORE_LANES(gradient.z, held->gz + k);
+  }
+#elif LIGHTING
   _Pragma("unroll 1") for (int k = 0; k < held->entries; k += LANES) {
     const Vectors place = places_of(entries_at(held, k, ray), ray);
     const Vectors gradient = scene_gradient(scene, place.x, place.y, place.z);

@@ -54,13 +54,17 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
   Gathered acc;
   gathered_clear(&acc);
   HalfOpacity half_ = no_half(); /* in steps */
+  /* One step before what may be visible: leaps begin where they would without a span. */
+  floatN span_from, span_to;
+  span_along(view, span, &ray, TO_FLOAT(px), TO_FLOAT(py), view->step, &span_from, &span_to);
+  const floatN start = floor(lane_clamp(span_from - 1.0f, zero, lane_max(ray.length - 1.0f, zero)));
 #if MIDPOINTS
-  floatN t = 0.0f, t1 = 0.0f; /* where the next segment begins, to be sampled and to be composited */
+  floatN t = start, t1 = start; /* where the next segment begins, to be sampled and to be composited */
 #else
   floatN value1 = 0.0f, value2 = 0.0f; /* the last sample and the one before it, and where they are */
   floatN t1 = 0.0f, t2 = 0.0f;
   intN first = ~(intN)0, second = 0;   /* the run of samples begins: no sample before, or only one */
-  floatN t = 0.0f;                     /* the next sample */
+  floatN t = start;                    /* the next sample */
 #endif
 
   while (any_lane(active)) {
@@ -71,7 +75,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
 #else
     const floatN from = select(select(t2, t1, second), t, first);
 #endif
-    const floatN visible_at = next_visible(distances, view, from, ray.length, active, &ray, counted);
+    const floatN visible_at = next_visible(distances, view, from, lane_min(span_to, ray.length), active, &ray, counted);
     active &= MASK(visible_at < end);
     const floatN next = floor(select(t, visible_at, active)) - (MIDPOINTS ? 0.0f : 1.0f);
     const intN leaps = active & MASK(next > t);

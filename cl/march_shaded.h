@@ -183,11 +183,15 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
 #endif
     floatN values[MARCH_STEPS];
     const intN start = i;
+#if BLOCKS
+    values_of_segments(scene, &ray, start, last, NEEDS_ENDS, alive, values);
+#else
     _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
       const floatN t0 = TO_FLOAT(start + step);
       const floatN t = NEEDS_ENDS ? lane_min(t0 + 1.0f, ray.length) : segment_middle(t0, ray.length);
       values[step] = scene_value(scene, ray.x0 + t * ray.dx, ray.y0 + t * ray.dy, ray.z0 + t * ray.dz);
     }
+#endif
 #if NEEDS_ENDS
     /* No segment before had the sample where this one begins. */
     const intN unknown = alive & MASK(start <= last) & ~joined;

@@ -8,6 +8,9 @@
 #include "sample_volume.h"
 #include "scene.h"
 #if BLOCKS
+#include "block_runs.h"
+#include "march.h"
+#include "rays.h"
 #include "sample_blocks.h"
 #endif
 
@@ -35,6 +38,33 @@ INLINE floatN scene_value(const Scene *scene, floatN x, floatN y, floatN z)
   return value;
 #endif
 }
+
+#if BLOCKS && !NOISE
+/* The values at MARCH_STEPS places of the rays from segment `start` on: at the ends of segments (`ends`) or in their
+ * middles. Lanes of `active` need those of segments up to `last`. */
+INLINE void values_of_segments(const Scene *scene, const Rays *ray, intN start, intN last, int ends, intN active,
+                               floatN *values)
+{
+  const BlockVolume *v = &scene->blocks;
+  const float4 upper = v->view->upper;
+  const floatN half_ = 0.5f, zero = 0.0f;
+  BlockRun run;
+  run_begin(&run);
+  Record here = record_at(v, half_, half_, half_);
+  int kind = alike(v, &here);
+  _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
+    const floatN t0 = TO_FLOAT(start + step), far = lane_min(t0 + 1.0f, ray->length);
+    const floatN t = ends ? far : t0 + 0.5f * (far - t0);
+    const floatN x = half_ + lane_clamp(ray->x0 + t * ray->dx, zero, (floatN)upper.x);
+    const floatN y = half_ + lane_clamp(ray->y0 + t * ray->dy, zero, (floatN)upper.y);
+    const floatN z = half_ + lane_clamp(ray->z0 + t * ray->dz, zero, (floatN)upper.z);
+    move_record(v, &here, &kind, x, y, z);
+    run_place(v, &run, step, &here, kind, x, y, z, active & MASK(start + step <= last), BLOCK_TALLIES(scene->tallies));
+  }
+  run_end(v, &run, MARCH_STEPS, BLOCK_TALLIES(scene->tallies));
+  _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) values[step] = run_value(&run, step);
+}
+#endif
 
 #if GRADIENT
 #include "gradient.h"
