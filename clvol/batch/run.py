@@ -22,7 +22,8 @@ from clvol.integrators.base import Progress
 from clvol.render import Renderer
 from clvol.render.frame import Frame
 from clvol.render.made_from import MadeFrom
-from clvol.scene import Scene, load_scene
+from clvol.scene import Scene
+from clvol.scene.family import SceneFamily
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Volume
 from clvol.volume.series import VolumeSeries
@@ -86,6 +87,7 @@ class JobRun:
         self._pictures, self._options, self._emit, self._progress = list(pictures), options, emit, progress
         self._begin, self._raises_device_errors = begin, False
         self._results, self._so_far = ResultsReader(options.results), _Known()
+        self._family = SceneFamily()
         self._last: _Loaded | None = None
         # With the volume, or the series, that its scenes have in common.
         self._renderer: tuple[Volume | VolumeSeries, Renderer] | None = None
@@ -199,14 +201,12 @@ class JobRun:
     def _loaded(self, picture: Picture) -> _Loaded:
         if self._last is not None and self._last.picture is picture:
             return self._last
-        scene = load_scene(picture.source, settings=picture.settings)
+        scene = self._family.load(picture.source, settings=picture.settings)
         if scene.animation.frames != 1:
             where, what = f"{picture.source}: animation.frames", f"got {scene.animation.frames}"
             raise SceneError(where, what, "1 in a job; let animation.time vary, or use 'clvol render'")
-        if self._last is not None:
-            scene.share_volumes(self._last.scene)
         scene.load(self._options.memory_cap)
-        resolved = scene.resolve(self._options.memory_cap)
+        resolved = self._family.resolve(scene, self._options.memory_cap)
         self._last = _Loaded(picture, scene, resolved, MadeFrom(resolved))
         return self._last
 
