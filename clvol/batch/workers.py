@@ -10,15 +10,18 @@ import signal
 import subprocess
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from clvol.batch.claims import Claims
 from clvol.batch.job import Picture
 from clvol.batch.results import append
 from clvol.batch.run import STEPS, Options, Outcome
 from clvol.errors import RenderError
 from clvol.opencl.children import child_command, child_environment, end_child
+from clvol.temporaries import remove_leftovers
 
 MOST_DEATHS = 3  # of processes that were rendering one picture, until it is given up
 _WORKER = Path(__file__).with_name("worker.py")
@@ -157,10 +160,18 @@ class WorkerPool:
             if self._early_deaths >= MOST_DEATHS:
                 raise RenderError("workers", f"processes end before they render anything ({how})")
         else:
+            self._clear(self._pictures[worker.picture])
             self._deaths[worker.picture] += 1
             if self._deaths[worker.picture] == MOST_DEATHS:
                 self._give_up(worker.picture, how)
         self._begin(worker.cores)
+
+    def _clear(self, picture: Picture) -> None:
+        """Removes what the process that was rendering ``picture`` has left, whether or not another one goes on."""
+        with Claims() as claims, suppress(RenderError):
+            claims.claim(picture.files[0])
+        for folder in {os.path.dirname(path) for path in picture.files}:
+            remove_leftovers(folder or ".")
 
     def _give_up(self, number: int, how: str) -> None:
         picture = self._pictures[number]
