@@ -43,8 +43,10 @@ class MadeFrom:
         return self._asked is not None and not isinstance(self._asked[0].volume, StepVolume)
 
     def __call__(self) -> dict[str, Any]:
-        if self._asked is not None:
-            self._told, self._asked = _told(*self._asked), None
+        asked = self._asked  # which another thread may forget meanwhile
+        if asked is not None:
+            self._told = _told(*asked)
+            self._asked = None
         return self._told
 
 
