@@ -24,8 +24,9 @@ def unmade(
     releases: bool = True,
 ) -> Iterator[T]:
     """Yields the items that this process is to make, each claimed until the next one is requested, or, without
-    ``releases``, until the caller releases the claim; ends when all ``items`` are made, whoever made them. Those that others are making are waited for, and made here if the others end
-    before they have: ``waiting(number of them)`` is called meanwhile.
+    ``releases``, until the caller releases the claim; ends when all ``items`` are made, whoever made them. Those that
+    others are making are waited for, and made here if the others end before they have: ``waiting(number of them)`` is
+    called meanwhile.
 
     ``files(item)``: what is made of it; the first one is claimed. ``is_made(item)`` reads them, which takes a while, so
     it is not called again unless they have changed.

@@ -47,7 +47,7 @@ def compressed_text(keyword: str, value: str) -> tuple[bytes, bytes]:
 def _compressed(rows: np.ndarray) -> bytes:
     from imagecodecs import deflate_encode
 
-    return bytes(deflate_encode(rows, _LEVEL, raw=False))
+    return bytes(deflate_encode(rows, _LEVEL, raw=False))  # type: ignore[arg-type]  # it takes any buffer
 
 
 def _chunk(name: bytes, content: bytes) -> bytes:

@@ -27,7 +27,8 @@ def job(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     np.save("cube.npy", np.arange(512, dtype=np.uint16).reshape(8, 8, 8))
     Path("scene.toml").write_text(
-        'version = 1\n[volume]\nfile = "cube.npy"\n[camera]\ntarget = [4.0, 4.0, 90.0]\n[image]\nwidth = 24\nheight = 20\n'
+        'version = 1\n[volume]\nfile = "cube.npy"\n[camera]\ntarget = [4.0, 4.0, 90.0]\n[image]\nwidth = 24\n'
+        "height = 20\n"
         "[transfer_function]\npoints = [{ value = 0.0, opacity = 0.1, color = [1.0, 0.0, 0.0] },\n"
         "{ value = 511.0, opacity = 0.5, color = [0.0, 1.0, 0.0] }]\n"
     )

@@ -82,7 +82,10 @@ def test_a_scene_that_is_wrong_does_not_change_the_next_one(scene_file):
     assert is_same(again.camera, load_scene(scene_file, settings=SETTINGS[1]).resolve().camera)
 
 
-@pytest.mark.parametrize("one, other", [(1, 1.0), (True, 1), (0.0, -0.0), ([1], (1,)), ({"a": 1, "b": 2}, {"b": 2, "a": 1}),
-                                        (np.zeros(2), np.zeros(2, np.float32)), ("1", 1), (object(), object())])  # fmt: skip
+@pytest.mark.parametrize(
+    "one, other",
+    [(1, 1.0), (True, 1), (0.0, -0.0), ([1], (1,)), ({"a": 1, "b": 2}, {"b": 2, "a": 1}), ("1", 1),
+     (np.zeros(2), np.zeros(2, np.float32)), (object(), object())],
+)  # fmt: skip
 def test_values_that_are_not_the_same(one, other):
     assert not is_same(one, other) and is_same(one, one) and is_same(other, other)
