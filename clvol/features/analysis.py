@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
 from clvol.features import (
+    channels,
     clipping,
     depth_cue,
     emission,
@@ -24,11 +25,13 @@ from clvol.features import (
 )
 from clvol.features.effect import Effect
 from clvol.features.findings import Findings
+from clvol.scene.channel_scenes import channel_scenes
 from clvol.scene.resolve import ResolvedScene
 
 NAMES = (
     "emission-absorption",
     "projection",
+    "channels",
     "nearest filter",
     "cubic filter",
     "catmull-rom filter",
@@ -51,6 +54,7 @@ NAMES = (
     "label field",
     "density field",
     "mask field",
+    "color field",
     "noise",
     "colour cycling",
     "clipping",
@@ -75,10 +79,14 @@ _known: WeakKeyDictionary = WeakKeyDictionary()  # ResolvedScene: Analysis
 
 
 def analysis_of(scene: ResolvedScene) -> Analysis:
+    if scene not in _known and scene.channels:
+        found_in = [analysis_of(each).effects for each in channel_scenes(scene)]
+        _known[scene] = Analysis(channels.effects_of(found_in, scene), None, None)
     if scene not in _known:
         found = Findings(scene)
         for part in _PASSES:
             part.analyse(found)
+        found.note(channels.effect_of(scene))
         effects = tuple(found.effects[name] for name in NAMES)
         changed = _differs(found.scene, scene)
         small = found.scene if changed else None
