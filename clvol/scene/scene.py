@@ -338,7 +338,7 @@ class Scene(Table):
     _chosen: dict[str, Any] | None = PrivateAttr(None)  # what was chosen for this scene, and why
     _moment: Moment | None = PrivateAttr(None)  # what is shown of a scene that a picture carries
     _several: SeveralChannels | None = PrivateAttr(None)  # channels of the file, of which the scene selects none
-    _shown_color: str | None = PrivateAttr(None)  # volume.color, of a file of colours of which the scene says nothing
+    _shown_color: str | None = PrivateAttr(None)  # volume.color, for a file of colours
     _fields: dict[tuple, Any] = PrivateAttr(default_factory=dict)  # the volumes of fields, by file and choices
 
     @model_validator(mode="after")

@@ -28,8 +28,8 @@ from clvol.volume.volume import Volume
 _TYPES: dict[str, type] = {
     each.__name__: each
     for each in (
-        ChosenClassification, Colors, Grid, OpacityFactor, PixelLattice, PixelList, ResolvedChannel, ResolvedField, ResolvedScene,
-        StepTimes, TransferFunction, TransferLayer, ValueAxis,
+        ChosenClassification, Colors, Grid, OpacityFactor, PixelLattice, PixelList, ResolvedChannel, ResolvedField,
+        ResolvedScene, StepTimes, TransferFunction, TransferLayer, ValueAxis,
     )  # fmt: skip
 }
 
