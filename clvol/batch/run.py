@@ -207,7 +207,7 @@ class JobRun:
     def _renderer_of(self, loaded: _Loaded) -> Renderer:
         """The Renderer that is open, if the scene's volume is its volume."""
         options = self._options
-        volume = loaded.scene.load_series(options.memory_cap) or loaded.scene.load_volume(options.memory_cap)
+        volume = loaded.scene.load_series(options.memory_cap) or loaded.scene.load_shown(options.memory_cap)
         if self._renderer is not None and self._renderer[0] is volume:
             self._renderer[1].set_scene(loaded.resolved)
             return self._renderer[1]

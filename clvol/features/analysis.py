@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from weakref import ReferenceType, WeakKeyDictionary, ref
 
 from clvol.features import (
+    channels,
     clipping,
     depth_cue,
     emission,
@@ -25,11 +26,13 @@ from clvol.features import (
 )
 from clvol.features.effect import Effect
 from clvol.features.findings import Findings
+from clvol.scene.channel_scenes import channel_scenes
 from clvol.scene.resolve import ResolvedScene
 
 NAMES = (
     "emission-absorption",
     "projection",
+    "channels",
     "nearest filter",
     "cubic filter",
     "catmull-rom filter",
@@ -52,6 +55,7 @@ NAMES = (
     "label field",
     "density field",
     "mask field",
+    "color field",
     "noise",
     "colour cycling",
     "clipping",
@@ -79,6 +83,9 @@ _VIEW = ("camera", "source", "display", "overlay")
 
 
 def analysis_of(scene: ResolvedScene) -> Analysis:
+    if scene not in _known and scene.channels:
+        found_in = [analysis_of(each).effects for each in channel_scenes(scene)]
+        _known[scene] = Analysis(channels.effects_of(found_in, scene), None, None)
     if scene not in _known:
         _known[scene] = _of_another_view(scene) or _analysed(scene)
         _recent.append(ref(scene))
@@ -111,6 +118,7 @@ def _analysed(scene: ResolvedScene) -> Analysis:
     found = Findings(scene)
     for part in _PASSES:
         part.analyse(found)
+    found.note(channels.effect_of(scene))
     effects = tuple(found.effects[name] for name in NAMES)
     changed = _differs(found.scene, scene)
     small = found.scene if changed else None

@@ -19,6 +19,7 @@ from clvol.volume.series import StepVolume
 if TYPE_CHECKING:
     from clvol.scene.camera import Camera
     from clvol.scene.resolve import ResolvedScene
+    from clvol.volume.volume import Volume
 
 _LOOK = ("integration", "image", "multiresolution", "pyramid", "slicing")  # tables that measuring errors may change
 
@@ -73,7 +74,8 @@ def _sources(resolved: ResolvedScene) -> dict[str, Any]:
     found: dict[str, Any] = {"voxels": None, "fields": None, "environment": None}
     try:
         found["voxels"] = volume_digest(resolved.volume, by_blocks)
-        found["fields"] = [volume_digest(field.volume) for field in resolved.fields]
+        found["fields"] = [volume_digest(volume) for volume in _of_fields(resolved)]
+        found["channels"] = [volume_digest(channel.volume, by_blocks) for channel in resolved.channels[1:]]
         if tables := [field.labels_path for field in resolved.fields if field.labels_path is not None]:
             found["label_tables"] = [file_digest(path) for path in tables]
         if resolved.environment is not None:
@@ -81,6 +83,14 @@ def _sources(resolved: ResolvedScene) -> dict[str, Any]:
     except (OSError, ClvolError):
         pass
     return {name: value for name, value in found.items() if value or name == "voxels"}
+
+
+def _of_fields(resolved: ResolvedScene) -> list[Volume]:
+    """The volumes of all fields; of one of colours those of its components."""
+    named: list[Volume] = []
+    for field in resolved.fields:
+        named += [field.volume] if field.colors_of_voxels is None else field.colors_of_voxels.channels
+    return named
 
 
 _last_look: tuple[tuple[Any, ...], str] = ((), "")  # what it is of, and its digest
