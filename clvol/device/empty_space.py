@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -136,14 +137,27 @@ def _overshot(low: np.ndarray, high: np.ndarray, share: float) -> tuple[np.ndarr
     return low - more, high + more
 
 
+_last_maps: WeakKeyDictionary[DeviceContext, tuple[tuple[Any, ...], DeviceArray]] = WeakKeyDictionary()
+
+
 def distance_map(context: DeviceContext, mask: np.ndarray, octants: bool = False) -> DeviceArray:
     """uint8 [z, y, x] on the device: distance in cells (maximum norm, at most 255) to the nearest
     cell of ``mask``; 0 inside the mask. ``octants``: eight more follow, in each of which only cells ahead count, in no
     coordinate behind: to larger x in those whose number has bit 0, y bit 1, z bit 2."""
-    if octants:
-        return _with_octants(context, mask)
-    if distances_on_host(context, mask.size):
-        return context.upload(np.append(cell_distances(mask), np.full(4, 255, np.uint8)))
+    if octants or distances_on_host(context, mask.size):
+        key = octants, mask.shape, mask.tobytes()
+        known = _last_maps.get(context)
+        if known is None or known[0] != key:  # functions that show the same values have the same map
+            known = _last_maps[context] = key, _with_octants(context, mask) if octants else _on_host(context, mask)
+        return known[1]
+    return _by_kernel(context, mask)
+
+
+def _on_host(context: DeviceContext, mask: np.ndarray) -> DeviceArray:
+    return context.upload(np.append(cell_distances(mask), np.full(4, 255, np.uint8)))
+
+
+def _by_kernel(context: DeviceContext, mask: np.ndarray) -> DeviceArray:
     start = np.where(mask, 0, 255).astype(np.uint8)
     # A 32-bit gather of the last byte must stay inside the buffer.
     padded = np.concatenate([start.ravel(), np.full(4, 255, np.uint8)])
@@ -179,7 +193,8 @@ def _with_octants(context: DeviceContext, mask: np.ndarray) -> DeviceArray:
     if octants_on_host(context, mask.size):
         return context.upload(np.concatenate([cell_distances(mask).ravel(), octant_distances(mask).ravel(), beyond]))
     maps = context.upload(np.append(np.empty(9 * mask.size, np.uint8), beyond), writable=True)
-    context.copy(distance_map(context, mask), 0, maps, 0, mask.size)
+    own = _on_host if distances_on_host(context, mask.size) else _by_kernel
+    context.copy(own(context, mask), 0, maps, 0, mask.size)
     kernel = context.kernel(
         "empty_space.cl",
         "octant_distances",

@@ -15,7 +15,7 @@ import numpy as np
 from clvol.store.codecs.coded_blocks import MOST_STAGES
 
 # Lengths of arrays in structs, as in cl/features.h: how many of each a scene may have.
-MOST_FIELDS, MOST_NOISE_TERMS, MOST_HALVES = 3, 4, 16
+MOST_FIELDS, MOST_NOISE_TERMS, MOST_HALVES = 8, 4, 16
 
 _TYPES = {
     "float": np.dtype("f4"), "float2": np.dtype(("f4", 2)), "float4": np.dtype(("f4", 4)),

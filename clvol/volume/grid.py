@@ -116,6 +116,10 @@ class Grid:
 
     def world_corners(self) -> np.ndarray:
         """(8, 3) float64: the domain's corners in world space, x changing fastest, then y, z."""
+        return self._world_corners.copy()
+
+    @cached_property
+    def _world_corners(self) -> np.ndarray:
         bounds = self.index_bounds()
         corner = np.arange(8)
         pick = np.stack([corner & 1, (corner >> 1) & 1, corner >> 2], axis=1)
