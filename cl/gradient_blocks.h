@@ -194,7 +194,7 @@ INLINE Gradient beside_block_gradient(const BlockVolume *v, VoxelAxis x, VoxelAx
   const int log_edge = v->blocks->log_edge, within = (1 << log_edge) - 1;
   const int4 count = v->blocks->count;
   intN start[8];
-  _Pragma("unroll 1") for (int k = 0; k < 8; ++k) {
+  _Pragma("unroll") for (int k = 0; k < 8; ++k) {
     const intN bx = min(x.lower + (k & 1), (intN)(count.x - 1)), by = min(y.lower + (k >> 1 & 1), (intN)(count.y - 1));
     const intN bz = min(z.lower + (k >> 2), (intN)(count.z - 1));
     const intN block = (max(bz, (intN)0) * count.y + max(by, (intN)0)) * count.x + max(bx, (intN)0);
@@ -203,13 +203,14 @@ INLINE Gradient beside_block_gradient(const BlockVolume *v, VoxelAxis x, VoxelAx
   intN xs[4];
   for (int i = 0; i < 4; ++i) xs[i] = (x.first + i) & within;
   floatN gx[2], gy[2], mean[4], m[4]; /* m: of rows, means along x */
-  _Pragma("unroll 1") for (int l = 0; l < 4; ++l) {
+  _Pragma("unroll") for (int l = 0; l < 4; ++l) {
     const intN behind = MASK(z.before <= l), zs = ((z.first + l) & within) << 2 * log_edge;
     const intN s00 = select(start[0], start[4], behind), s10 = select(start[1], start[5], behind);
     const intN s01 = select(start[2], start[6], behind), s11 = select(start[3], start[7], behind);
     const int middle = l == 1 || l == 2;
     floatN slope[4];
-    _Pragma("unroll 1") for (int j = middle ? 0 : 1; j < (middle ? 4 : 3); ++j) {
+    _Pragma("unroll") for (int j = 0; j < 4; ++j) {
+      if (!middle && (j == 0 || j == 3)) continue;
       const intN below = MASK(y.before <= j), at = zs + (((y.first + j) & within) << log_edge);
       const intN near = at + select(s00, s01, below), far = at + select(s10, s11, below);
       const floatN v1 = fetch_block_sample(v, (xs[1] + select(near, far, MASK(x.before <= 1))) & active);

@@ -10,10 +10,6 @@ from clvol.scene.gradient import GradientSettings
 from clvol.scene.resolve import ResolvedScene
 
 
-def reads_blocks(scene: ResolvedScene) -> bool:
-    return scene.integration.method == "multiresolution"
-
-
 def uses_of_gradients(scene: ResolvedScene, lit: bool) -> list[str]:
     """What needs gradients in a reduced scene."""
     uses = {
@@ -47,7 +43,7 @@ def analyse(found: Findings) -> None:
         else:
             _note_operator(found, settings)
             _note_storage(found, settings)
-            if reads_blocks(scene):
+            if scene.integration.reads_blocks:
                 kept = settings.model_copy(update={"storage": "on-the-fly"})
     found.change(gradient=kept)
 
@@ -60,7 +56,7 @@ def _note_operator(found: Findings, settings: GradientSettings) -> None:
 
 def _note_storage(found: Findings, settings: GradientSettings) -> None:
     volume = found.scene.volume
-    if reads_blocks(found.scene):
+    if found.scene.integration.reads_blocks:
         reason = "those of blocks are differences of the values blended between them"
         found.note(no("precomputed gradients", reason))
         return

@@ -12,6 +12,7 @@ _BY_SEGMENTS = ("raycast",)  # one rule for all segments of a ray
 _BY_STEPS = ("raycast", "multiresolution", "pyramid", "slicing")
 _SHADED = ("raycast",)
 _BY_SLICES = ("slicing",)  # methods that draw slices one over the other
+_OF_BLOCKS = ("multiresolution",)  # methods whose volume is blocks, each at a resolution of its own
 
 
 class Integration(Table):
@@ -22,6 +23,11 @@ class Integration(Table):
     of ``step`` per edge; 0 means even steps. ``compositing``: "over" integrates emission and absorption along
     the ray; the others show the "maximum", the "minimum" or the "average" of the values on it, or a maximum in which
     ``attenuation`` weakens what lies behind. ``prefilter`` makes the filter "cubic" interpolate the voxels.
+
+    ``blend`` puts channels together. Each has a picture of its own, with all that the scene states, and light adds up
+    ("additive", which may exceed white), is screened (1 - (1 - a)(1 - b) of each component) or is the "maximum" of each
+    component; opacities are screened, or their maximum. "mix" is one medium: extinctions and emissions of all channels
+    add up at every place, so that channels hide each other by depth.
 
     ``classification``: "auto" is "post" where that errs less than "preintegrated", which it is elsewhere.
 
@@ -73,6 +79,11 @@ class Integration(Table):
         title="Emission and absorption ('over'), or a projection of the values along each ray.",
         description="'over', 'maximum', 'minimum', 'average' or 'attenuated-maximum'",
     )
+    blend: Literal["additive", "screen", "maximum", "mix"] = Field(
+        "additive",
+        title="How [[channel]]s are put together: their pictures added, or blended, or all as one medium ('mix').",
+        description="'additive', 'screen', 'maximum' or 'mix'",
+    )
     attenuation: Number = Field(
         1.0, ge=0, le=1e6,
         title="How strongly 'attenuated-maximum' weakens what lies behind.",
@@ -119,6 +130,11 @@ class Integration(Table):
     def draws_slices(self) -> bool:
         """Whether the method draws slices one over the other, as [slicing] says."""
         return self.method in _BY_SLICES
+
+    @property
+    def reads_blocks(self) -> bool:
+        """Whether the method samples blocks, each at a resolution of its own."""
+        return self.method in _OF_BLOCKS
 
     @classmethod
     def table_name(cls) -> str:

@@ -185,7 +185,7 @@ def test_at_full_resolution_the_picture_is_the_ray_casters(context, classificati
     assert data.samples == plain.samples
     counted = {name: data.counters[name] for name in plain.counters}
     assert counted == pytest.approx(plain.counters, abs=3)
-    assert data.counters["block_reads"] >= data.samples + * data.counters["gradients"]
+    assert data.counters["block_reads"] >= data.samples + data.counters["gradients"]
 
 
 def test_gradients_are_continuous_over_the_faces_of_blocks_of_different_levels():
