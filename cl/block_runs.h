@@ -1,6 +1,6 @@
-/* Values of a packet of rays at several places each, taken together: places come first, then all values in as few passes
- * as they fill. So the loads of many vectors are under way at once, and what is blended between blocks fills vectors of
- * its own (blend_blocks.h). At most QUEUED_STEPS places of a packet are a run.
+/* Values of a packet of rays at several places each, taken together: places come first, then all values in as few
+ * passes as they fill. So the loads of many vectors are under way at once, and what is blended between blocks fills
+ * vectors of its own (blend_blocks.h). At most QUEUED_STEPS places of a packet are a run.
  *
  *   run_begin(&run);
  *   run_place(v, &run, k, &here, kind, x, y, z, wanted, tally);   for k = 0, 1, ..., n - 1

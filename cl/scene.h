@@ -1,6 +1,6 @@
 /* All that a kernel may read of its scene, as one struct: the volume, its transfer function and what the variant adds,
- * EFFECTS (effects.h; with SLICES half_angle.h, with BLOCKS block_parameters.h, too), BLOCKS or SLICES (slices.h). Functions about
- * the scene take `const Scene *`.
+ * EFFECTS (effects.h; with SLICES half_angle.h, with BLOCKS block_parameters.h, too), BLOCKS or SLICES (slices.h).
+ * Functions about the scene take `const Scene *`.
  *
  *   SCENE_PARAMETERS   the parameters of a kernel that the struct is made of; clvol/device/arguments.py declares the
  *                      same

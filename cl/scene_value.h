@@ -69,7 +69,7 @@ INLINE void values_of_segments(const Scene *scene, const Rays *ray, intN start, 
 #if GRADIENT
 #include "gradient.h"
 #if BLOCKS
-#include "gradient_blocks.h"
+#include "gradient_queue.h"
 #endif
 
 /* Its gradient, per edge along the local axes. With noise: differences of values over a smallest edge along the

@@ -11,8 +11,8 @@ _PER_AXIS = np.eye(3)
 
 
 class BlockMediumField:
-    """In the place of ``reference.field.Field``: ``blocks`` over a volume's ``grid``. Places beyond the volume's faces are
-    taken back to them."""
+    """In the place of ``reference.field.Field``: ``blocks`` over a volume's ``grid``. Places beyond the volume's faces
+    are taken back to them."""
 
     filter = "linear"
 

@@ -82,8 +82,8 @@ def blocks_struct(grid: BlockGrid) -> np.ndarray:
 
 
 class BlockCaster(Raycaster):
-    """As ``Raycaster``, for the method "multiresolution". Scenes with effects take even steps, by the marches of the ray
-    caster (cl/march_shaded.h, cl/march_effects.h), whose values and gradients are those of blocks.
+    """As ``Raycaster``, for the method "multiresolution". Scenes with effects take even steps, by the ray caster's own
+    marches (cl/march_shaded.h, cl/march_effects.h), with values and gradients of blocks.
 
     ``blocks``: the resident blocks. ``render`` shows the blocks that are resident at that moment; ``set_resident`` must
     be called after they have changed.

@@ -1,8 +1,8 @@
 """What clips leave of blocks: which of them lie wholly in what is removed, and how much of the others is kept.
 
-A block is its box of voxels with a margin around it, since values and gradients beside its faces are made of its samples,
-too. Boxes are bounded along the world's axes, so a block of an oblique grid may be kept although nothing of it is seen, but
-is never removed although something is.
+A block is its box of voxels with a margin around it, since values and gradients beside its faces are made of its
+samples, too. Boxes are bounded along the world's axes, so a block of an oblique grid may be kept although nothing of it
+is seen, but is never removed although something is.
 """
 
 from __future__ import annotations

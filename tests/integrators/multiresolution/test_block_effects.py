@@ -160,7 +160,8 @@ def test_lanes_and_buffers_change_less_than_rounding_does(context):
 def test_what_clips_nothing_and_lights_nothing_compiles_nothing():
     volume = smooth()
     plain = scene(volume)
-    idle = scene(volume, clip=[{"type": "sphere", "center": [20.0, 20.0, 20.0], "radius": 500.0}], **{**LIT, "light": []})
+    around = {"type": "sphere", "center": [20.0, 20.0, 20.0], "radius": 500.0}
+    idle = scene(volume, clip=[around], **{**LIT, "light": []})
     assert kernel_hash(idle) == kernel_hash(plain) != kernel_hash(scene(volume, clip=CLIPS))
     told = explain(scene(volume, **ALL))
     names = {effect["name"] for effect in told["effects"] if effect["called_for"]}
