@@ -86,6 +86,7 @@ def view_dtype(voxel_bits: int) -> np.dtype:
         ("float", "first_value nodes_per_value last_node warp_bins"),
         ("float", "gate_low gate_high step_units opacity_limit voxel_gain zero"),
         ("int", "cell_shift cell_parts row_stride slice_stride piece_columns piece_count function_floats"),
+        ("int", "octant_cells"),
     )
 
 

@@ -44,8 +44,10 @@ class MadeFrom:
         return self._asked is not None and not isinstance(self._asked[0].volume, StepVolume)
 
     def __call__(self) -> dict[str, Any]:
-        if self._asked is not None:
-            self._told, self._asked = _told(*self._asked), None
+        asked = self._asked  # which another thread may forget meanwhile
+        if asked is not None:
+            self._told = _told(*asked)
+            self._asked = None
         return self._told
 
 
@@ -53,7 +55,7 @@ def _told(resolved: ResolvedScene, camera: Camera, frame: int | None) -> dict[st
     facts: dict[str, Any] = {
         "clvol": clvol.__version__,
         "scene": _digest(resolved.source or ""),
-        "look": _digest(_look(resolved)),
+        "look": _look(resolved),
         "camera": camera.model_dump(mode="json"),
         "time": resolved.animation.time,
         **_sources(resolved),
@@ -91,7 +93,22 @@ def _of_fields(resolved: ResolvedScene) -> list[Volume]:
     return named
 
 
+_last_look: tuple[tuple[Any, ...], str] = ((), "")  # what it is of, and its digest
+
+
 def _look(resolved: ResolvedScene) -> str:
+    """A digest of the transfer function and of the tables that measuring errors may change. Scenes of one job or
+    animation share it."""
+    global _last_look
+    of = resolved.transfer_function, resolved.background, resolved.compression, *(getattr(resolved, t) for t in _LOOK)
+    before, digest = _last_look
+    if len(of) != len(before) or any(a is not b for a, b in zip(of, before)):
+        digest = _digest(_look_text(resolved))
+        _last_look = of, digest
+    return digest
+
+
+def _look_text(resolved: ResolvedScene) -> str:
     function = resolved.transfer_function
     numbers = [function.values, function.opacities, function.colors, function.opacity_unit]
     tables = {name: getattr(resolved, name).model_dump(mode="json") for name in _LOOK}

@@ -15,6 +15,7 @@ from weakref import WeakSet
 from clvol.device.fields import field_bytes
 from clvol.device.light_volume import light_volume_bytes
 from clvol.errors import DeviceError, RenderError, UsageError, VolumeError
+from clvol.features.analysis import differs_in_view
 from clvol.features.compression import is_compressed
 from clvol.integrators.base import FrameData, Prepared, Progress, RefinesInTime
 from clvol.integrators.registry import check_scene, integrator_of
@@ -309,9 +310,12 @@ class Renderer:
             start = perf_counter()
             resolved = _checked(scene, self._memory_cap)
             loaded = perf_counter()
-            on_devices.prepare(resolved, progress)
+            if differs_in_view(resolved, self.resolved):  # what is prepared is rendered from any camera
+                self._notices = self._notices.anew()
+            else:
+                on_devices.prepare(resolved, progress)
+                self._notices = Notices(resolved)
             self.resolved, self._first_time = resolved, resolved.animation.time
-            self._notices = Notices(resolved)
             compile_seconds = on_devices.group.take_compile_seconds()
             self._load_seconds, self._compile_seconds = loaded - start, compile_seconds
             self._prepare_seconds = perf_counter() - loaded - compile_seconds
