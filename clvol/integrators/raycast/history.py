@@ -42,6 +42,7 @@ _UNSUPPORTED = (
     ("WORKERS", "the pyramid"),
     ("BLOCKS", "blocks"),
     ("BRICKS", "codes that stay on the device"),
+    ("GLOW", "associated colours"),
 )
 
 
