@@ -2,8 +2,9 @@
 
 Per scene, RMSE against 64 rays per pixel (a regular grid of 8 by 8), rays per pixel and seconds of a frame: one ray,
 2 and 4 everywhere, 4 on the rotated grid, everywhere and at edges by three thresholds, and graded by four. The goal is
-the error of the regular 4 everywhere with at most 35 % of its rays. Then `--max-error --pixel-area`, in small pictures, where pixels
-hold more: whether it holds over all pixels, against 225 rays per pixel, none of which is one of the picture's own.
+the error of the regular 4 everywhere with at most 35 % of its rays. Then `--max-error --pixel-area`, in small pictures,
+where pixels hold more: whether it holds over all pixels, against 225 rays per pixel, none of which is one of the
+picture's own.
 After Klein et al. 2005, section 4.3.
 """
 
