@@ -1,6 +1,6 @@
 /* Gradients of the field of blocks at many places (gradient_blocks.h). Most of them lie a voxel and more within a block
- * at full resolution, or between such blocks: there voxels are taken one by one, as in gradient.h, and only elsewhere six
- * blended values. Places of a kind are taken together, so that no vector of them has to do what few of its lanes need.
+ * at full resolution, or between such blocks: there voxels are taken one by one, as in gradient.h, and only elsewhere
+ * six blended values. Places of a kind are taken together, so that no vector has to do what few of its lanes need.
  */
 #ifndef GRADIENT_QUEUE_H
 #define GRADIENT_QUEUE_H

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from clvol.volume import Grid
+from reference.field import GridSampler
 from reference.multiresolution import BlockField
 
 _PER_AXIS = np.eye(3)
+
+
+@dataclass
+class _SurfaceField:
+    """What surfaces are found in: the field at the lattice points, trilinear between them (cl/cell_blocks.h)."""
+
+    value: GridSampler
+    filter: str = "linear"
 
 
 class BlockMediumField:
@@ -20,6 +31,9 @@ class BlockMediumField:
         self.blocks, self.grid = blocks, grid
         self._to_index = grid.world_to_index()
         self._upper = np.asarray(blocks.grid.shape[::-1], np.float64) - 1.0
+        z, y, x = np.indices(blocks.grid.shape)
+        lattice = self._at(np.stack([x, y, z], axis=-1).reshape(-1, 3).astype(np.float64)).reshape(z.shape)
+        self.of_surfaces = _SurfaceField(GridSampler(lattice, grid))
 
     def value(self, world: np.ndarray) -> np.ndarray:
         """[n] at world places [n, 3]."""

@@ -14,6 +14,7 @@ from clvol.device.arguments import (
     view_argument,
 )
 from clvol.device.effect_state import COUNTERS
+from clvol.device.empty_space import dilated, distance_map
 from clvol.device.transfer_lookup import device_function, scene_nodes, segment_classification
 from clvol.device.view import ray_frame
 from clvol.device.volume import ResidentVolume
@@ -158,12 +159,40 @@ class BlockCaster(Raycaster):
 
     def set_resident(self) -> None:
         """Finds empty space anew in the resident blocks."""
-        context, volume = self.context, self.volume
         stepping = self._fitting_stepping()
         if stepping != self.stepping:
             self.stepping = stepping
             self._set_switches()
-        between, at = self._visible
+        found = self._cells_that_show(*self._visible)
+        self._set_steps()
+        self.shown_cells, self.hole_cells = found != CELLS["empty"], found == CELLS["beside-holes"]
+        self.shown = self.shown_cells
+        if self.resolved.isosurfaces:
+            self.shown = self.shown | self._surface_cells()
+        self.visible_share = float(self.shown.mean())
+        self.march.find_empty_space(self, self.shown)
+        self.march.scene_changed(self)
+
+    def _surface_cells(self) -> np.ndarray:
+        """As in ``Raycaster``, of the resident blocks. Cells of voxels lie across the cells of blocks: those beside
+        count, too."""
+        nodes = self.nodes.values
+        between, at = np.zeros(nodes.size - 1, bool), np.zeros(nodes.size, bool)
+        for surface in self.resolved.isosurfaces:
+            place = int(np.searchsorted(nodes, float(self.volume.values(surface.value))))
+            between[max(place - 2, 0) : place + 1] = at[max(place - 1, 0) : place + 1] = True
+        self.surface_cells = dilated(self._cells_that_show(between, at) != CELLS["empty"])
+        self.effects.set_surfaces(distance_map(self.context, self.surface_cells))
+        return self.surface_cells
+
+    def _beside_surfaces(self) -> None:
+        """As in ``Raycaster``: every tile takes the same kernel, since cells of blocks are those of no surface's."""
+        return None
+
+    def _cells_that_show(self, between: np.ndarray, at: np.ndarray) -> np.ndarray:
+        """uint8 [z, y, x], ``CELLS``: cells of resident blocks that have a value in one of the intervals ``between``
+        nodes, or ``at`` a node."""
+        context, volume = self.context, self.volume
         view = self.volume_view()
         kernel = context.kernel(
             "block_cells.cl",
@@ -188,13 +217,7 @@ class BlockCaster(Raycaster):
         for first, count in self.blocks.boxes():
             box = tuple(n * edge for n in count)
             kernel(context.queue, box, None, first=(*(n * edge for n in first), 0), **(given | self._resident_arrays()))
-        self._set_steps()
-        found = context.read(cells)
-        self.shown_cells, self.hole_cells = found != CELLS["empty"], found == CELLS["beside-holes"]
-        self.shown = self.shown_cells
-        self.visible_share = float(self.shown_cells.mean())
-        self.march.find_empty_space(self, self.shown_cells)
-        self.march.scene_changed(self)
+        return context.read(cells)
 
     @property
     def _switches_of_blocks(self) -> dict[str, int]:

@@ -14,7 +14,7 @@ from clvol.integrators.multiresolution.choice_selection import Chosen, select_ch
 from clvol.integrators.multiresolution.code_choices import Choices, choices_of
 from clvol.integrators.multiresolution.coded_source import CodedSource
 from clvol.integrators.multiresolution.resident_codes import ResidentCodes, Wanted
-from clvol.integrators.multiresolution.scene_errors import EffectsOnBlocks, effects_on_blocks, with_effects
+from clvol.integrators.multiresolution.scene_errors import EffectsOnBlocks, effects_on_blocks, scene_errors
 from clvol.integrators.multiresolution.selection import SourceErrors, source_errors
 from clvol.integrators.multiresolution.view_weight import view_weights, visibility
 from clvol.integrators.multiresolution.visible_error import ShownColors
@@ -95,7 +95,7 @@ class CodedResidency:
             if old_function == function and np.array_equal(old_background, background) and old_effects == effects:
                 return known, of_choices
         source = self.source
-        found = with_effects(source_errors(source, function, background), effects, source.grid, source.blocks)
+        found = scene_errors(source, source_errors(source, function, background), effects, background)
         shown = ShownColors(function, source.blocks.edge * source.grid.smallest_edge, background)
         errors = np.zeros((len(self.choices.level), source.blocks.count), np.float32)
         for part in source.statistics():

@@ -9,7 +9,7 @@ import numpy as np
 
 from clvol.errors import SceneError
 from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
-from clvol.integrators.multiresolution.scene_errors import EffectsOnBlocks, effects_on_blocks, with_effects
+from clvol.integrators.multiresolution.scene_errors import EffectsOnBlocks, effects_on_blocks, scene_errors
 from clvol.integrators.multiresolution.selection import Selection, SourceErrors, select_blocks, source_errors
 from clvol.opencl.context import DeviceContext
 from clvol.scene.resolve import ResolvedScene
@@ -104,7 +104,7 @@ class Residency:
     ) -> SourceErrors:
         known = self._source_errors(function, background)
         if self._with_effects is None or self._with_effects[:2] != (known, effects):
-            found = with_effects(known, effects, self.source.grid, self.source.blocks)
+            found = scene_errors(self.source, known, effects, background)
             self._with_effects = known, effects, found
         return self._with_effects[2]
 

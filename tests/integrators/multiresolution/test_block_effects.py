@@ -16,9 +16,13 @@ from clvol import Camera, Scene, Volume
 from clvol.errors import SceneError
 from clvol.explanation import explain, kernel_hash
 from clvol.integrators.multiresolution.caster import BlockCaster
+from clvol.integrators.multiresolution.clipped_blocks import removed_blocks
+from clvol.integrators.multiresolution.engine import MultiresolutionEngine
 from clvol.integrators.raycast.caster import Raycaster
 from clvol.integrators.registry import check_scene
 from clvol.store.geometry import BlockGrid
+from clvol.store.source import DROPPED
+from clvol.store.volume_blocks import VolumeBlocks
 
 SHAPE = (40, 33, 50)
 CAMERA = Camera(position=(-55.0, -38.0, -61.0), target=(25.0, 16.0, 20.0), fov_degrees=28.0)
@@ -30,6 +34,13 @@ CLIPS = [
 LIT = {"light": list(LIGHTS), "material": MATERIAL, "gradient": {"storage": "on-the-fly"}}
 CUE = {"depth_cue": {"start": 60.0, "end": 130.0, "strength": 0.7, "color": [0.1, 0.3, 0.5]}}
 ALL = {"clip": CLIPS, **LIT, **CUE}
+SURFACES = {
+    "isosurface": [
+        {"value": 150.0, "opacity": 0.6, "color": [0.8, 0.3, 0.2]},
+        {"value": 90.0, "opacity": 0.3, "color": [0.2, 0.5, 0.9]},
+    ],
+    **ALL,
+}
 
 
 def scene(volume=None, classification="post", method="multiresolution", width=24, height=20, **tables):
@@ -93,6 +104,45 @@ def test_other_types_and_holes(context, dtype, holes):
     assert np.isfinite(data.rgba).all() and expected[..., 3].max() > 0.02
     # Beside a hole a sample, or a gradient, may or may not use it.
     assert np.quantile(far, 0.8 if holes else 0.98) < 3e-4
+
+
+# ---- surfaces ----
+
+
+def test_surfaces_are_the_twins(context):
+    """Over faces of blocks of any two levels: where they are, their gradients, and what lies between them."""
+    resolved = scene(smooth(), **SURFACES)
+    levels = random_levels(BlockGrid(SHAPE), 3)
+    data, expected = rendered(context, resolved, levels), twin(resolved, levels)
+    far = np.abs(data.rgba - expected).max(axis=-1)
+    assert np.quantile(far, 0.95) < 3e-4 and far.max() < 0.2
+    assert data.counters["surface_hits"] > 100 and expected[..., 3].max() > 0.5
+    unlike = twin(scene(smooth(), **ALL), levels)
+    assert np.abs(unlike - expected).max() > 0.2
+
+
+def test_surfaces_at_full_resolution_are_the_ray_casters(context):
+    volume = smooth()
+    data = rendered(context, scene(volume, **SURFACES), np.zeros(BlockGrid(SHAPE).count, np.uint8))
+    plain = picture_of(Raycaster(context, scene(volume, method="raycast", **SURFACES)))
+    np.testing.assert_allclose(data.rgba, plain.rgba, atol=1e-4)
+    assert data.counters["surface_hits"] == pytest.approx(plain.counters["surface_hits"], abs=3)
+
+
+def test_surfaces_alone_hold_the_blocks_that_they_go_through(context):
+    volume = smooth()
+    nothing = replace(SHOWN, opacities=np.zeros(4))
+    resolved = scene(volume, transfer_function=nothing, **SURFACES, multiresolution={"memory": "8 MiB"})
+    engine = MultiresolutionEngine(context, resolved)
+    found = engine.render(resolved.camera, 24, 20)
+    plain = picture_of(Raycaster(context, scene(volume, transfer_function=nothing, method="raycast", **SURFACES)))
+    np.testing.assert_allclose(found.rgba, plain.rgba, atol=1e-4)
+    held = engine.residency.blocks.levels != DROPPED
+    parts = list(VolumeBlocks(volume).statistics())
+    low, high = (np.concatenate([getattr(part, name) for part in parts]) for name in ("reach_low", "reach_high"))
+    through = np.any([(low <= value) & (value <= high) for value in (90.0, 150.0)], axis=0)
+    removed = removed_blocks(resolved.clips, volume.grid, BlockGrid(SHAPE))
+    assert held[through & ~removed].all() and not held[removed].any() and removed.any()
 
 
 # ---- hard cases ----
