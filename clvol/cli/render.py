@@ -191,8 +191,10 @@ def _render(
     loaded = load_scene(scene, overrides)
     with protected(scene_inputs(scene, loaded)):
         if bricks is not None:
-            check_alone("--bricks", loaded, max_error=max_error, time_budget=time_budget, frames=frames,
-                        show_schedule=show_schedule, pixel_area=pixel_area or None, isolate=isolate or None)  # fmt: skip
+            check_alone(
+                "--bricks", loaded, max_error=max_error, time_budget=time_budget, frames=frames,
+                show_schedule=show_schedule, pixel_area=pixel_area or None, isolate=isolate or None,
+            )  # fmt: skip
             outputs = check_still(outputs, resume)
             elsewhere = picture_in_bricks(cluster, scene, overrides, loaded, bricks, devices, memory_cap)
             render_still(

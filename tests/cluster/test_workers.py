@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.clusters import FRAMES, names, write_film
+from helpers.clusters import FRAMES, names, workers_of, write_film
 
 from clvol.batch.frames import Animation
 from clvol.batch.job import load_job, pictures_of
@@ -18,6 +18,7 @@ from clvol.batch.results import results_in
 from clvol.batch.run import JobRun, Options
 from clvol.bricks.render import bricks_of
 from clvol.cli import main
+from clvol.cluster import local as local_module
 from clvol.cluster.bricks import bricks_on_workers
 from clvol.cluster.connection import check_installed, connected, shares
 from clvol.cluster.facts import Digests
@@ -75,7 +76,7 @@ def check_frames(alone) -> None:
 
 
 def workers() -> list[int]:
-    return [c.pid for c in psutil.Process().children(recursive=True) if "spawn_main" in " ".join(c.cmdline())]
+    return workers_of(os.getpid())
 
 
 def test_frames_are_those_of_one_process_and_two_workers_share_them(local, alone):
@@ -204,6 +205,29 @@ def test_a_worker_that_is_killed_costs_no_frame(local, alone):
             os.kill(workers()[0], signal.SIGKILL)
     assert sorted(made) == list(range(FRAMES))
     check_frames(alone)
+
+
+def test_a_worker_that_dies_before_it_has_started_is_replaced(tmp_path, monkeypatch):
+    first = tmp_path / "first"
+    first.touch()
+    script = tmp_path / "process.py"
+    script.write_text(
+        "import os, runpy\n"
+        f"if os.path.exists({str(first)!r}):\n    os.remove({str(first)!r})\n    os.kill(os.getpid(), 9)\n"
+        f"runpy.run_path({str(local_module._PROCESS)!r}, run_name='__main__')\n"
+    )
+    monkeypatch.setattr(local_module, "_PROCESS", script)
+    before = set(workers())
+    with connected(1, None) as connection:
+        assert not first.exists() and connection.client.submit(os.getpid).result() in set(workers()) - before
+    assert set(workers()) == before
+
+
+def test_workers_that_all_die_before_they_have_started_are_an_error(tmp_path, monkeypatch):
+    (tmp_path / "process.py").write_text("raise SystemExit(3)")
+    monkeypatch.setattr(local_module, "_PROCESS", tmp_path / "process.py")
+    with pytest.raises(RenderError, match="--workers: processes end"), connected(2, None):
+        pass
 
 
 def test_shares_are_all_cores_and_none_twice():
