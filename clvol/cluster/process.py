@@ -18,7 +18,6 @@ def main(request: str) -> None:
     end_with_parent(asked["lifeline"], asked["parent"])
     output = os.dup(1)
     os.dup2(2, 1)  # drivers may write on standard output
-    silence()
     asyncio.run(_serve(asked, output))
     sys.stderr.flush()
     os._exit(0)  # drivers may crash while they are unloaded
@@ -27,6 +26,7 @@ def main(request: str) -> None:
 async def _serve(asked: dict[str, Any], output: int) -> None:
     from distributed import Worker
 
+    silence()  # once dask has set its logs up, which its import does
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the port of a dashboard that nobody asks for may be taken
         worker = Worker(

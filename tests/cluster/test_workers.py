@@ -18,6 +18,7 @@ from clvol.batch.results import results_in
 from clvol.batch.run import JobRun, Options
 from clvol.bricks.render import bricks_of
 from clvol.cli import main
+from clvol.cli.workers import render_on_workers
 from clvol.cluster import local as local_module
 from clvol.cluster.bricks import bricks_on_workers
 from clvol.cluster.connection import check_installed, connected, shares
@@ -100,6 +101,20 @@ def test_frames_as_displayed_come_in_order(local):
     made = list(frames_on_workers(local, Animation("film.toml", [], [], shown=True), ["film.toml"], [3, 1, 7, 2]))
     assert [frame.index for frame in made] == [3, 1, 7, 2]
     assert all(frame.shown.dtype == np.uint8 and frame.shown.shape == (40, 40, 3) for frame in made)
+
+
+def test_a_video_that_is_resumed_is_the_one_that_is_made_at_once(local):
+    pattern = "v.apng.frames/%06d.png"
+    os.mkdir("v.apng.frames")
+    begun = list(frames_on_workers(local, Animation("film.toml", [], [pattern], resume=True), ["film.toml"], [0, 3]))
+    assert not any(frame.error for frame in begun) and len(os.listdir("v.apng.frames")) == 2
+    how: dict = {"frames": slice(5), "quiet": True, "devices": None, "memory_cap": None, "isolate": False}
+    scene = load_scene("film.toml")
+    for name, resume in (("w.apng", False), ("v.apng", True)):
+        render_on_workers(local, "film.toml", [], scene, [name], f"{name}.json", resume=resume, **how)
+    assert Path("v.apng").read_bytes() == Path("w.apng").read_bytes()
+    kept = json.loads(Path("v.apng.json").read_text())["frames_kept"]
+    assert kept == 2 and not os.path.exists("v.apng.frames")
 
 
 def test_a_scene_that_is_wrong_is_an_error_of_each_frame(local):

@@ -74,8 +74,8 @@ def _words(process) -> list[str]:
 
 @contextlib.contextmanager
 def cluster(folder: Path, workers: int, *more: str) -> Iterator[Cluster]:
-    """A scheduler and ``workers`` workers, which are replaced when they die. Each has a command of its own: dask's gives
-    up, with all its workers, when one of them dies before it has started."""
+    """A scheduler and ``workers`` workers, which are replaced when they die: each has a command of its own, since one
+    command gives up, with all its workers, when one of them dies before it has started."""
     folder.mkdir(exist_ok=True)
     file = folder / "scheduler.json"
     file.unlink(missing_ok=True)
