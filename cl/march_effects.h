@@ -23,6 +23,7 @@
 #include "features.h"
 #include "half_opacity.h"
 #include "march.h"
+#include "owned_box.h"
 #include "packet_spans.h"
 #include "rays.h"
 #include "scene.h"
@@ -230,28 +231,29 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
         if (k == 2) mid = value;
       }
 #endif
+      const intN owned = active & owns_front(view, &ray, t0);
       int visible = 1;
 #if !TRANSLUCENT
       visible = 0;
 #elif CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
       floatN a = front, b = back;
-      shift_ends(value2, &a, &b, length, active & MASK(joined != 0));
-      visible = may_be_visible(lane_min(a, b), lane_max(a, b), active, view);
-      if (visible & (TRANSFER_LAYERS == 0)) e = segment_emission_in(a, b, active, (intN)0, table, view);
+      shift_ends(value2, &a, &b, length, owned & MASK(joined != 0));
+      visible = may_be_visible(lane_min(a, b), lane_max(a, b), owned, view);
+      if (visible & (TRANSFER_LAYERS == 0)) e = segment_emission_in(a, b, owned, (intN)0, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST
-      visible = may_be_visible(mid, mid, active, view);
+      visible = may_be_visible(mid, mid, owned, view);
       if (visible & (TRANSFER_LAYERS == 0)) e = value_emission_in(mid, (intN)0, table, view);
 #endif
 #if TRANSLUCENT
 #if TRANSFER_LAYERS
-      intN shows = visible ? active : (intN)0; /* what it emits depends on the gradient */
+      intN shows = visible ? owned : (intN)0; /* what it emits depends on the gradient */
 #else
-      e.d = select((floatN)0.0f, e.d, active);
+      e.d = select((floatN)0.0f, e.d, owned);
       intN shows = MASK(e.d > 0.0f);
 #endif
 #if FIELDS
-      const FieldLook look_of_fields = look_at_fields(scene, &ray, t0, t1, xm, ym, zm, shows, active, counted);
-      shows = active & (shows | MASK(look_of_fields.added.d > 0.0f)) & MASK(look_of_fields.kept > 0.0f);
+      const FieldLook look_of_fields = look_at_fields(scene, &ray, t0, t1, xm, ym, zm, shows, owned, counted);
+      shows = owned & (shows | MASK(look_of_fields.added.d > 0.0f)) & MASK(look_of_fields.kept > 0.0f);
 #endif
       visible = any_lane(shows);
 #if GRADIENT && (LIGHTING || GRADIENT_DECIDES)
@@ -268,7 +270,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
         _Pragma("unroll 1") for (int k = 0; k < 2; ++k) {
           const intN first = k ? layers.high : layers.low;
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
-          const Emission layer = segment_emission_in(a, b, active, first, table, view);
+          const Emission layer = segment_emission_in(a, b, owned, first, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST
           const Emission layer = value_emission_in(mid, first, table, view);
 #else
@@ -288,7 +290,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
         e = no_emission();
 #endif
 #if FIELDS || GRADIENT_DECIDES
-      e.d = select((floatN)0.0f, e.d, active);
+      e.d = select((floatN)0.0f, e.d, owned);
       shows &= MASK(e.d > 0.0f);
       visible = any_lane(shows);
 #endif
@@ -332,8 +334,8 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
         const floatN before_segment = acc.a;
 #endif
         const SurfacePassage passage = pass_surfaces(scene, &walk, scaled3(forward, -1.0f), from_edges, to_edges,
-                                                     length, e, visible, active,
-                                                     MASK(i == last), may_bend, &acc, &between, &taken, counted);
+                                                     length, e, visible, active, owned, MASK(i == last), may_bend,
+                                                     &acc, &between, &taken, counted);
 #if WITH_DEPTH
         const intN passes = MASK(between.from < INFINITY);
         if (any_lane(passes)) {
@@ -368,7 +370,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
 #else
       if (visible) {
         const floatN before = acc.a;
-        composite_emission(&acc, e, length, active);
+        composite_emission(&acc, e, length, owned);
         NOTE_FIRST(before, acc.a, ray.entry_depth + t0 * h);
 #if WITH_DEPTH
         const intN passes = passes_half(before, acc.a);

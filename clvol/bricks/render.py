@@ -12,7 +12,6 @@ from clvol.bricks.tree import Box, Tree, divided, most_boxes
 from clvol.device.effect_switches import effect_switches
 from clvol.errors import SceneError
 from clvol.features import reduced_for_frames
-from clvol.features.analysis import called_for
 from clvol.features.compression import is_compressed
 from clvol.integrators.raycast.caster import Raycaster
 from clvol.integrators.raycast.integrator import INTEGRATOR
@@ -24,7 +23,13 @@ from clvol.scene import load_scene
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume.voxel_layout import padded_size
 
-_PLAIN = "emission-absorption"
+# Switches of effects that are no sum over a ray's segments, each of which depends on voxels beside it alone.
+_NOT_IN_PARTS = {
+    "SHADOWS": ("shadow", "and light comes to a brick through all others"),
+    "ENVIRONMENT_VISIBLE": ("environment.visible", "behind which all others lie"),
+    "REFRACTION": ("isosurface.refraction", "behind which rays go on through other bricks"),
+    "NOISE": ("noise", "and it moves places from one brick to another"),
+}
 
 
 @dataclass(frozen=True)
@@ -76,7 +81,9 @@ def bricks_of(resolved: ResolvedScene, count: int) -> Bricks:
     """``resolved`` in ``count`` bricks. SceneError for a scene that bricks cannot render, with the reason."""
     check_bricks(resolved, count)
     integration = resolved.integration.model_copy(update={"step_error": 0.0})
-    return Bricks(replace(resolved, integration=integration), divided(padded_size(resolved.volume), count))
+    gradient = resolved.gradient.model_copy(update={"storage": "on-the-fly"})
+    in_parts = replace(resolved, integration=integration, gradient=gradient)
+    return Bricks(in_parts, divided(padded_size(resolved.volume), count))
 
 
 def check_bricks(resolved: ResolvedScene, count: int) -> None:
@@ -97,10 +104,10 @@ def check_bricks(resolved: ResolvedScene, count: int) -> None:
     for is_wrong, key, got, expected in asked:
         if is_wrong:
             raise SceneError(f"{resolved.origin}: {key}", f"got {got} for bricks", expected)
-    if effect_switches(reduced_for_frames(resolved)):
-        effects = [name for name in called_for(resolved) if name != _PLAIN and not name.endswith("filter")]
-        what = f"bricks render emission and absorption, and the scene has {', '.join(effects)}"
-        raise SceneError(resolved.origin, what, "a scene without, or the whole volume on one device")
+    switches = effect_switches(reduced_for_frames(resolved))
+    for switch, (key, reason) in _NOT_IN_PARTS.items():
+        if switches.get(switch):
+            raise SceneError(f"{resolved.origin}: {key}", f"got it for bricks, {reason}", "a scene without")
     if count > (most := most_boxes(padded_size(resolved.volume))):
         raise SceneError(f"{resolved.origin}: volume", f"{count} bricks of so small a volume", f"at most {most}")
 
