@@ -103,6 +103,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
   uintN taken = 0;
   Gathered acc;
   gathered_clear(&acc);
+  BEGIN_OPACITY(acc, depth);
   HalfOpacity half_ = no_half(); /* in edges from the eye */
   Rays ray = whole_ray;
   floatN next_from = 0.0f;  /* where the next stretch may begin, along whole_ray */

@@ -45,17 +45,19 @@ def picture_in_bricks(
             request: dict[str, Any] = {
                 "path": path, "overrides": list(overrides), "count": count, "devices": devices, "memory_cap": memory_cap
             }  # fmt: skip
-            rgba, counted = bricks_on_workers(cluster, bricks, request, [path, *scene.input_paths], progress)
+            rgba, depths, counted = bricks_on_workers(
+                cluster, bricks, request, [path, *scene.input_paths], progress, depth
+            )
             names = ["workers"]
         else:
             context = open_context(devices)
             try:
-                rgba, samples = render_in_bricks(context, bricks.resolved, count, progress)
+                rgba, depths, samples = render_in_bricks(context, bricks.resolved, count, progress, depth)
                 names = [context.name]
             finally:
                 context.release()
             counted = {"samples": samples, "bricks": count}
         counted["rays"] = rgba.shape[0] * rgba.shape[1]
-        return make_frame(bricks.resolved, rgba, None, {"render": time.perf_counter() - start}, counted, names)
+        return make_frame(bricks.resolved, rgba, depths, {"render": time.perf_counter() - start}, counted, names)
 
     return render

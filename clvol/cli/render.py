@@ -196,10 +196,10 @@ def _render(
                 show_schedule=show_schedule, pixel_area=pixel_area or None, isolate=isolate or None,
             )  # fmt: skip
             outputs = check_still(outputs, resume)
-            elsewhere = picture_in_bricks(cluster, scene, overrides, loaded, bricks, devices, memory_cap)
             render_still(
                 loaded, outputs, stats, devices, memory_cap, quiet, start, isolate=False, max_error=None,
-                time_budget=None, show_schedule=None, elsewhere=elsewhere,
+                time_budget=None, show_schedule=None,
+                elsewhere=picture_in_bricks(cluster, scene, overrides, loaded, bricks, devices, memory_cap),
             )  # fmt: skip
             return
         steps = _frames_by_step(loaded, outputs, frames, memory_cap)

@@ -55,12 +55,12 @@ def worked(monkeypatch, folder, renderer) -> list[str]:
 
     render = renderer.render
     monkeypatch.setattr(renderer, "render", lambda self, **how: picture() and render(self, **how))
-    monkeypatch.setattr("clvol.bricks.render.render_in_bricks", lambda *_: (rgba, picture()[1]["samples"]))
+    monkeypatch.setattr("clvol.bricks.render.render_in_bricks", lambda *_: (rgba, None, picture()[1]["samples"]))
     device = SimpleNamespace(name="stub", release=lambda: None)
     monkeypatch.setattr("clvol.render.renderer.open_context", lambda devices: device)
     monkeypatch.setattr("clvol.cluster.connection.connected", connected)
     monkeypatch.setattr("clvol.cluster.connection.check_installed", lambda option: None)
-    monkeypatch.setattr("clvol.cluster.bricks.bricks_on_workers", picture)
+    monkeypatch.setattr("clvol.cluster.bricks.bricks_on_workers", tiles)
     monkeypatch.setattr("clvol.cluster.tiles.tiles_on_workers", tiles)
     monkeypatch.setattr("clvol.cluster.frames.frames_on_workers", frames)
     return done

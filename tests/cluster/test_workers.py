@@ -156,14 +156,35 @@ STILL = ["animation.frames=1", "image.width=33", "integration.early_termination=
 def test_bricks_of_workers_are_those_of_one_process_and_nearly_the_whole(local):
     bricks = bricks_of(load_scene("film.toml", STILL).resolve(), 5)
     scene = {"path": "film.toml", "overrides": STILL, "count": 5, "devices": None, "memory_cap": None}
-    rgba, told = bricks_on_workers(local, bricks, scene, ["film.toml", "waves.npy"])
+    rgba, depth, told = bricks_on_workers(local, bricks, scene, ["film.toml", "waves.npy"], depth=True)
     assert told["bricks"] == 5 and told["samples"] > 0 and told["largest_brick_bytes"] < 24**3
+    again, nothing, of_pixels = bricks_on_workers(local, bricks, scene, ["film.toml", "waves.npy"])
+    assert nothing is None and of_pixels["client_bytes"] == rgba.nbytes  # not those of five pictures
+    np.testing.assert_array_equal(again, rgba)
     words = ["--quiet", *(word for each in STILL for word in ("--set", each))]
-    assert main(["render", "film.toml", "-o", "b.npy", "--bricks", "5", "--stats", "b.json", *words]) == 0
+    places = ["-o", "b.npy", "-o", "b.exr", "--stats", "b.json"]
+    assert main(["render", "film.toml", *places, "--bricks", "5", *words]) == 0
     np.testing.assert_array_equal(np.load("b.npy"), rgba)
+    np.testing.assert_array_equal(load_image("b.exr")["depth"], depth)
     assert json.loads(Path("b.json").read_text())["bricks"] == 5
-    assert main(["render", "film.toml", "-o", "w.npy", *words]) == 0
-    assert np.abs(np.load("w.npy") - rgba).max() < 1e-6
+    assert main(["render", "film.toml", "-o", "w.exr", *words]) == 0
+    whole = load_image("w.exr")
+    assert np.abs(whole["rgba"] - rgba).max() < 1e-6
+    np.testing.assert_allclose(whole["depth"], depth, rtol=1e-6)
+    assert np.isfinite(depth).any()
+
+
+@pytest.mark.slow  # a worker that starts again, some seconds
+def test_a_worker_that_dies_with_its_bricks_costs_no_picture(local):
+    bricks = bricks_of(load_scene("film.toml", STILL).resolve(), 4)
+    scene = {"path": "film.toml", "overrides": STILL, "count": 4, "devices": None, "memory_cap": None}
+
+    def kill_one(done: int, count: int) -> None:
+        if done == count:  # all are rendered, and none is put together
+            os.kill(workers()[0], signal.SIGKILL)
+
+    rgba, _, _ = bricks_on_workers(local, bricks, scene, ["film.toml", "waves.npy"], kill_one)
+    np.testing.assert_array_equal(rgba, bricks_on_workers(local, bricks, scene, ["film.toml", "waves.npy"])[0])
 
 
 def test_a_brick_that_fails_ends_the_picture(local):

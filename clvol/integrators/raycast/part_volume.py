@@ -24,7 +24,8 @@ class PartVolume(ResidentVolume):
     """The voxels that segments need whose front lies in a box: from ``lower`` to before ``upper`` (x, y, z; lattice
     units), and beyond faces of the volume. Bounds of cells are known where such segments may be.
 
-    For even steps and values that kernels take as they are stored.
+    For even steps and values that kernels take as they are stored. ``in_front`` float32 [height, width]: the opacity
+    in front of the box, which depths depend on.
     """
 
     def __init__(self, context: DeviceContext, resolved: ResolvedScene, lower: Lattice, upper: Lattice) -> None:
