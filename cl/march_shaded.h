@@ -3,7 +3,7 @@
  *
  * MARCH_STEPS segments are taken in passes over arrays: all their samples, which wait for memory together
  * (march_plain.h); classification, and opacity from front to back, so that what is behind an opaque segment drops out;
- * gradients, light and colours of all that shows, some passes later (held_segments.h).
+ * gradients, light and colours of all that shows, some passes later (held_segments.h, lit_entries.h).
  *
  * Where the field is constant, gradient and light are nothing, and what a segment shows is known: rays whose packet is
  * in such cells (CONSTANT_CELLS; a map as in skip_empty.h, of the cells where the field or its gradient may change)
@@ -20,6 +20,7 @@
 #include "features.h"
 #include "half_opacity.h"
 #include "held_segments.h"
+#include "lit_entries.h"
 #include "march.h"
 #include "packet_spans.h"
 #include "rays.h"

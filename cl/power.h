@@ -37,4 +37,10 @@ INLINE floatN lane_power(floatN x, float n)
   return select((floatN)0.0f, lane_exp2(n * lane_log2(select((floatN)1.0f, x, positive))), positive);
 }
 
+/* Of two, a step of one beside the same step of the other: each step waits for the one before. */
+INLINE void lane_powers(floatN a, floatN b, float n, floatN *to_a, floatN *to_b)
+{
+  *to_a = lane_power(a, n), *to_b = lane_power(b, n);
+}
+
 #endif
