@@ -68,6 +68,12 @@ typedef struct {
 
 #if VOXEL_PAIRS
 
+INLINE FetchedCorners fetch_corners_at(__global const uchar *volume, __constant const View *view, intN at)
+{
+  const FetchedCorners f = {gather2(volume, at), gather2(volume + slice_bytes(view), at)};
+  return f;
+}
+
 INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy,
                                     intN iz)
 {

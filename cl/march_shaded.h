@@ -50,6 +50,33 @@ INLINE Emission emission_between(floatN front, floatN back, intN active, __globa
 #endif
 }
 
+#if CONSTANT_CELLS
+#define CONSTANT_RUN 16 /* segments that are composited before it is seen whether a ray ends */
+
+/* Composites segments that all emit `e`, of the rays in `active`, which have `steps` of them: as many as all have, up to
+ * CONSTANT_RUN. None, where a ray would end among them, or more happens: its opacity begins, or passes one half.
+ * Returns how many. */
+INLINE int composite_constant(Gathered *acc, Emission e, intN active, intN steps, float stop_opacity)
+{
+  const int count = least_lane(select((intN)CONSTANT_RUN, min(steps, (intN)CONSTANT_RUN), active));
+  const floatN none = 0.0f;
+  const floatN r = select(none, e.r, active), g = select(none, e.g, active), b = select(none, e.b, active);
+  const floatN d = select(none, e.d, active), before = acc->a;
+  Gathered sum = *acc;
+  _Pragma("unroll 1") for (int k = 0; k < count; ++k) {
+    const floatN left = 1.0f - sum.a;
+    sum.r += left * r, sum.g += left * g, sum.b += left * b, sum.a += left * d;
+  }
+  intN happens = MASK(sum.a >= stop_opacity) | MASK(before <= 0.0f);
+#if WITH_DEPTH
+  happens |= passes_half(before, sum.a);
+#endif
+  if (any_lane(active & happens)) return 0;
+  *acc = sum;
+  return count;
+}
+#endif
+
 INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
                           Tally *counted FIRST_PARAMETER)
 {
@@ -165,6 +192,11 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
         if (may_be_visible(value, value, going, view)) e = emission_between(value, value, going, table, view);
         for (intN active = going; any_lane(active) && !any_lane(active & MASK(i >= constant_end));
              active = alive & MASK(i <= last)) {
+          const int count = composite_constant(&acc, e, active, min(last + 1, constant_end) - i, view->stop_opacity);
+          if (count) {
+            taken += AS_UINT(active & (intN)count), i += active & (intN)count;
+            continue;
+          }
           taken -= AS_UINT(active);
           const floatN left = select((floatN)0.0f, 1.0f - acc.a, active), before = acc.a;
           acc.r += left * e.r, acc.g += left * e.g, acc.b += left * e.b, acc.a += left * e.d;
@@ -184,11 +216,29 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
 #endif
     floatN values[MARCH_STEPS];
     const intN start = i;
+#if SAMPLES_IN_STAGES && !NOISE
+    {
+      SamplePlace places[MARCH_STEPS];
+      FetchedSample fetched[MARCH_STEPS];
+      _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
+        const floatN t0 = TO_FLOAT(start + step);
+        const floatN t = NEEDS_ENDS ? lane_min(t0 + 1.0f, ray.length) : segment_middle(t0, ray.length);
+        places[step] = sample_place(scene->volume, view, ray.x0 + t * ray.dx, ray.y0 + t * ray.dy, ray.z0 + t * ray.dz);
+      }
+      _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step)
+        fetched[step].corners = fetch_corners_at(scene->volume, view, places[step].corner);
+      _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
+        fetched[step].fx = places[step].fx, fetched[step].fy = places[step].fy, fetched[step].fz = places[step].fz;
+        values[step] = sample_value(fetched[step], view);
+      }
+    }
+#else
     _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
       const floatN t0 = TO_FLOAT(start + step);
       const floatN t = NEEDS_ENDS ? lane_min(t0 + 1.0f, ray.length) : segment_middle(t0, ray.length);
       values[step] = scene_value(scene, ray.x0 + t * ray.dx, ray.y0 + t * ray.dy, ray.z0 + t * ray.dz);
     }
+#endif
 #if NEEDS_ENDS
     /* No segment before had the sample where this one begins. */
     const intN unknown = alive & MASK(start <= last) & ~joined;

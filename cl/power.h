@@ -37,11 +37,16 @@ INLINE floatN lane_exp2(floatN x)
   return select(p * AS_FLOAT((127 + TO_INT(n)) << 23), (floatN)0.0f, vanishes);
 }
 
+/* Powers below 2^LEAST_POWER are 0: of what they are multiplied by, much would be denormal, for which processors take a
+ * hundred times as long. */
+#define LEAST_POWER -100.0f
+
 /* x in 0 .. 1, n >= 1; 0 where x is 0. */
 INLINE floatN lane_power(floatN x, float n)
 {
   const intN positive = MASK(x > 1e-30f);
-  return select((floatN)0.0f, lane_exp2(n * lane_log2(select((floatN)1.0f, x, positive))), positive);
+  const floatN y = n * lane_log2(select((floatN)1.0f, x, positive));
+  return select((floatN)0.0f, lane_exp2(y), positive & MASK(y >= LEAST_POWER));
 }
 
 /* Of two, at the same time: each step waits for the one before, so that one alone takes as long as both. The same
@@ -58,7 +63,7 @@ INLINE void lane_powers(floatN xa, floatN xb, float n, floatN *to_a, floatN *to_
   STEP(p, f, -0.207421035f), STEP(p, f, 0.215669859f), STEP(p, f, -0.23892034f), STEP(p, f, 0.287918324f);
   STEP(p, f, -0.360704828f), STEP(p, f, 0.48091061f), STEP(p, f, -0.721347333f), STEP(p, f, 1.442695f);
   floatN ya = n * (TO_FLOAT(ea) + fa * pa), yb = n * (TO_FLOAT(eb) + fb * pb);
-  const intN va = MASK(ya < -126.0f), vb = MASK(yb < -126.0f);
+  const intN va = MASK(ya < LEAST_POWER), vb = MASK(yb < LEAST_POWER);
   ya = lane_clamp(ya, (floatN)-126.0f, (floatN)127.0f), yb = lane_clamp(yb, (floatN)-126.0f, (floatN)127.0f);
   const floatN na = lane_floor(ya + 0.5f), nb = lane_floor(yb + 0.5f);
   const floatN ra = (ya - na) * 0.693147181f, rb = (yb - nb) * 0.693147181f;

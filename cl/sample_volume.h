@@ -88,6 +88,25 @@ INLINE FetchedSample fetch_linear(__global const uchar *volume, __constant const
   return s;
 }
 
+#if VOXEL_BITS == 8 && FILTER == FILTER_LINEAR
+#define SAMPLES_IN_STAGES 1
+typedef struct {
+  intN corner;
+  floatN fx, fy, fz;
+} SamplePlace;
+INLINE SamplePlace sample_place(__global const uchar *volume, __constant const View *view, floatN x, floatN y, floatN z)
+{
+  SamplePlace s;
+  x = lane_clamp(x, (floatN)0.0f, (floatN)view->upper.x);
+  y = lane_clamp(y, (floatN)0.0f, (floatN)view->upper.y);
+  z = lane_clamp(z, (floatN)0.0f, (floatN)view->upper.z);
+  const intN ix = cell_index(x, view->size.x), iy = cell_index(y, view->size.y), iz = cell_index(z, view->size.z);
+  s.fx = x - TO_FLOAT(ix), s.fy = y - TO_FLOAT(iy), s.fz = z - TO_FLOAT(iz);
+  s.corner = corner_offset(volume, view, ix, iy, iz);
+  return s;
+}
+#endif
+
 INLINE floatN linear_value(FetchedSample s, __constant const View *view)
 {
   const Corners c = decode_corners(s.corners, view);
