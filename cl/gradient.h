@@ -154,9 +154,9 @@ INLINE SliceWords fetch_slice(__global const uchar *volume, __constant const Vie
 INLINE SliceWords fetch_slice(__global const uchar *volume, __constant const View *view, intN corner, size_t slice)
 {
   SliceWords s;
-  const intN at = corner - (intN)(view->row_stride + 1), below = at + (intN)(2 * view->row_stride);
-  gather_two2(volume + slice, at, &s.low0, &s.high0);
-  gather_two2(volume + slice, below, &s.low1, &s.high1);
+  __global const uchar *above = volume + slice - row_bytes(view) - ELEMENT_BYTES;
+  gather_two2(above, corner, &s.low0, &s.high0);
+  gather_two2(above + 2 * row_bytes(view), corner, &s.low1, &s.high1);
   return s;
 }
 #endif
