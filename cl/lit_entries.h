@@ -44,7 +44,7 @@ INLINE Vectors shown_normal(const Scene *scene, Vectors gradient, Vectors cut_no
 INLINE void entry_gradients(const Scene *scene, const HeldSegments *held, int k, int count, const Rays *ray,
                             Vectors *gradients)
 {
-#if GRADIENTS_IN_STAGES && !NOISE
+#if GRADIENTS_IN_STAGES
   __constant const View *view = scene->view;
   GradientWords words[TOGETHER];
   intN corners[TOGETHER];

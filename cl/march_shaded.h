@@ -50,6 +50,12 @@ INLINE Emission emission_between(floatN front, floatN back, intN active, __globa
 #endif
 }
 
+/* Where the value is taken of the segment that begins at `t0` of a ray of `length`. */
+INLINE floatN sampled_at(floatN t0, floatN length)
+{
+  return NEEDS_ENDS ? lane_min(t0 + 1.0f, length) : segment_middle(t0, length);
+}
+
 #if CONSTANT_CELLS
 #define CONSTANT_RUN 16 /* segments that are composited before it is seen whether a ray ends */
 
@@ -216,26 +222,21 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
 #endif
     floatN values[MARCH_STEPS];
     const intN start = i;
-#if SAMPLES_IN_STAGES && !NOISE
-    {
-      SamplePlace places[MARCH_STEPS];
-      FetchedSample fetched[MARCH_STEPS];
-      _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
-        const floatN t0 = TO_FLOAT(start + step);
-        const floatN t = NEEDS_ENDS ? lane_min(t0 + 1.0f, ray.length) : segment_middle(t0, ray.length);
-        places[step] = sample_place(scene->volume, view, ray.x0 + t * ray.dx, ray.y0 + t * ray.dy, ray.z0 + t * ray.dz);
-      }
-      _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step)
-        fetched[step].corners = fetch_corners_at(scene->volume, view, places[step].corner);
-      _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
-        fetched[step].fx = places[step].fx, fetched[step].fy = places[step].fy, fetched[step].fz = places[step].fz;
-        values[step] = sample_value(fetched[step], view);
-      }
+#if FILTER == FILTER_LINEAR && VOXEL_BITS == 8 && !SAMPLE_REPEATS
+    /* Three short loops: the one that fetches has all its fetches under way at once. Wider voxels gain nothing. */
+    SamplePlace places[MARCH_STEPS];
+    FetchedCorners corners[MARCH_STEPS];
+    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
+      const floatN t = sampled_at(TO_FLOAT(start + step), ray.length);
+      places[step] = linear_place(scene->volume, view, ray.x0 + t * ray.dx, ray.y0 + t * ray.dy, ray.z0 + t * ray.dz);
     }
+    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step)
+      corners[step] = fetch_corners_at(scene->volume, view, places[step].corner);
+    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step)
+      values[step] = linear_value(fetched_at(places[step], corners[step]), view);
 #else
     _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
-      const floatN t0 = TO_FLOAT(start + step);
-      const floatN t = NEEDS_ENDS ? lane_min(t0 + 1.0f, ray.length) : segment_middle(t0, ray.length);
+      const floatN t = sampled_at(TO_FLOAT(start + step), ray.length);
       values[step] = scene_value(scene, ray.x0 + t * ray.dx, ray.y0 + t * ray.dy, ray.z0 + t * ray.dz);
     }
 #endif
