@@ -162,8 +162,8 @@ INLINE SliceWords fetch_slice(__global const uchar *volume, __constant const Vie
 #endif
 
 #if !BRICKS
-/* A gradient in three stages, for loops over several: gradient_place_in(), fetch_gradient_words() where no face is
- * near, gradient_of_words(). */
+/* A gradient in stages, for loops over several that need no voxel beyond the faces: fetch_gradient_words() at the cell's
+ * corner_offset(), with the place in the cell beside it; gradient_of_words(). */
 #define GRADIENTS_IN_STAGES 1
 
 INLINE void fetch_gradient_words(__global const uchar *volume, __constant const View *view, intN corner,
@@ -261,33 +261,19 @@ INLINE Gradient face_gradient(__global const uchar *volume, __constant const Vie
 
 #endif
 
-/* Where a gradient is taken, and which lanes need those voxels that are beyond the volume's faces. */
-typedef struct {
-  Place x, y, z;
-  intN at_faces;
-} GradientPlace;
-
 INLINE intN beside_faces(Place p, int size) { return MASK(p.index == 0) | MASK(p.index == size - 2); }
-
-INLINE GradientPlace gradient_place_in(__constant const View *view, floatN px, floatN py, floatN pz)
-{
-  GradientPlace at;
-  at.x = place_in_cell(px, view->upper.x, view->size.x), at.y = place_in_cell(py, view->upper.y, view->size.y);
-  at.z = place_in_cell(pz, view->upper.z, view->size.z);
-  at.at_faces = beside_faces(at.x, view->size.x) | beside_faces(at.y, view->size.y) |
-      beside_faces(at.z, view->size.z);
-  return at;
-}
 
 INLINE Gradient gradient_at(__global const uchar *volume, __global const uint *gradients, __constant const View *view,
                             float4 gradient_scale, floatN px, floatN py, floatN pz)
 {
-  const GradientPlace at = gradient_place_in(view, px, py, pz);
+  const Place x = place_in_cell(px, view->upper.x, view->size.x), y = place_in_cell(py, view->upper.y, view->size.y);
+  const Place z = place_in_cell(pz, view->upper.z, view->size.z);
 #if VOXEL_BITS == 8 && VOXEL_PAIRS
-  return any_lane(at.at_faces) ? face_gradient(volume, view, at.x, at.y, at.z)
-                               : gradient_of_words(fetch_gradient(volume, view, at.x, at.y, at.z));
+  const intN beside = beside_faces(x, view->size.x) | beside_faces(y, view->size.y) | beside_faces(z, view->size.z);
+  return any_lane(beside) ? face_gradient(volume, view, x, y, z)
+                          : gradient_of_words(fetch_gradient(volume, view, x, y, z));
 #else
-  return finite_gradient(central_gradient(volume, view, at.x, at.y, at.z));
+  return finite_gradient(central_gradient(volume, view, x, y, z));
 #endif
 }
 

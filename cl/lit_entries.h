@@ -21,6 +21,32 @@
 /* Whether light is simple enough for that: any number of lights, no shadows, no environment. */
 #define STAGED_LIGHT (LIGHTING && LIGHTS && !SHADOWS && !ENVIRONMENT)
 
+/* Between which places along rays, in their steps, gradients need no voxel beyond the volume's faces. What is near the
+ * faces is left out: rounding of places does not matter. */
+typedef struct {
+  floatN from, to;
+} InnerSpan;
+
+INLINE void cut_inner(InnerSpan *span, floatN x0, floatN rx, floatN still, int size)
+{
+  const float margin = 0.01f + 1e-6f * (float)size;
+  const float low = 1.0f + margin, high = (float)(size - 2) - margin;
+  const floatN a = (low - x0) * rx, b = (high - x0) * rx;
+  const intN moves = MASK(still == 0.0f), inside = MASK(x0 >= low) & MASK(x0 <= high);
+  span->from = select(span->from, lane_max(span->from, lane_min(a, b)), moves);
+  span->to = select(span->to, lane_min(span->to, lane_max(a, b)), moves);
+  span->to = select(span->to, -(floatN)INFINITY, (~moves & ~inside) | MASK((floatN)low > (floatN)high));
+}
+
+INLINE InnerSpan inner_span(__constant const View *view, const Rays *ray)
+{
+  InnerSpan span = {-(floatN)INFINITY, (floatN)INFINITY};
+  cut_inner(&span, ray->x0, ray->rx, ray->px, view->size.x);
+  cut_inner(&span, ray->y0, ray->ry, ray->py, view->size.y);
+  cut_inner(&span, ray->z0, ray->rz, ray->pz, view->size.z);
+  return span;
+}
+
 #if LIGHTING
 /* The normal of what the gradient belongs to; at a cut face the face's own, going over to the gradient's within one
  * edge. `inside`: edges from the start of the stretch. */
@@ -42,21 +68,24 @@ INLINE Vectors shown_normal(const Scene *scene, Vectors gradient, Vectors cut_no
 
 /* The gradients of `count` vectors of entries from the k-th on. */
 INLINE void entry_gradients(const Scene *scene, const HeldSegments *held, int k, int count, const Rays *ray,
-                            Vectors *gradients)
+                            InnerSpan inner, Vectors *gradients)
 {
-#if GRADIENTS_IN_STAGES
+#if GRADIENTS_IN_STAGES && FILTER == FILTER_LINEAR
   __constant const View *view = scene->view;
   GradientWords words[TOGETHER];
   intN corners[TOGETHER];
   uint beside = 0; /* vectors that have an entry at the volume's faces, as bits */
   _Pragma("unroll 1") for (int j = 0; j < count; ++j) {
-    const Vectors p = places_of(entries_at(held, k + LANES * j, ray), ray);
-    const GradientPlace at = gradient_place_in(view, p.x, p.y, p.z);
-    const intN corner = corner_offset(scene->volume, view, at.x.index, at.y.index, at.z.index);
-    beside |= (uint)(any_lane(at.at_faces) != 0) << j;
+    const Entries entries = entries_at(held, k + LANES * j, ray);
+    const Vectors p = places_of(entries, ray);
+    const intN at_faces = MASK(entries.t < permuted_lanes(inner.from, entries.lane)) |
+        MASK(entries.t > permuted_lanes(inner.to, entries.lane));
+    const intN ix = TO_INT(p.x), iy = TO_INT(p.y), iz = TO_INT(p.z);
+    beside |= (uint)(any_lane(at_faces) != 0) << j;
     /* There it is not used, but has to be fetched from somewhere. */
-    corners[j] = select(corner, (intN)(view->slice_stride + view->row_stride + 1), at.at_faces);
-    words[j].fx = at.x.f, words[j].fy = at.y.f, words[j].fz = at.z.f;
+    corners[j] = select(corner_offset(scene->volume, view, ix, iy, iz),
+                        (intN)(view->slice_stride + view->row_stride + 1), at_faces);
+    words[j].fx = p.x - TO_FLOAT(ix), words[j].fy = p.y - TO_FLOAT(iy), words[j].fz = p.z - TO_FLOAT(iz);
   }
   _Pragma("unroll 1") for (int j = 0; j < count; ++j) fetch_gradient_words(scene->volume, view, corners[j], &words[j]);
   _Pragma("unroll 1") for (int j = 0; j < count; ++j) {
@@ -173,14 +202,14 @@ INLINE void light_entries(const Scene *scene, const HeldSegments *held, int k, i
 #endif
 
 /* Finds the colours of all that is held, in light. */
-INLINE void color_entries(const Scene *scene, HeldSegments *held, const Rays *ray, Vectors forward, Vectors cut_normal,
-                          Tally *counted)
+INLINE void color_entries(const Scene *scene, HeldSegments *held, const Rays *ray, InnerSpan inner, Vectors forward,
+                          Vectors cut_normal, Tally *counted)
 {
   _Pragma("unroll 1") for (int k = 0; k < held->entries; k += LANES * TOGETHER) {
     const int count = min((held->entries - k + LANES - 1) / LANES, TOGETHER);
 #if LIGHTING
     Vectors gradients[TOGETHER];
-    entry_gradients(scene, held, k, count, ray, gradients);
+    entry_gradients(scene, held, k, count, ray, inner, gradients);
 #endif
 #if STAGED_LIGHT
     EntryLight entries[TOGETHER];
@@ -216,12 +245,12 @@ INLINE void color_entries(const Scene *scene, HeldSegments *held, const Rays *ra
 }
 
 /* The same, and composites them. */
-INLINE void composite_held(const Scene *scene, HeldSegments *held, Gathered *acc, const Rays *ray, Vectors forward,
-                           Vectors cut_normal, Tally *counted)
+INLINE void composite_held(const Scene *scene, HeldSegments *held, Gathered *acc, const Rays *ray,
+                           InnerSpan inner, Vectors forward, Vectors cut_normal, Tally *counted)
 {
   /* What is behind the last entry is not used, but needs a place. */
   STORE_LANES((floatN)0.0f, held->lane + held->entries), STORE_LANES((floatN)held->t[0], held->t + held->entries);
-  color_entries(scene, held, ray, forward, cut_normal, counted);
+  color_entries(scene, held, ray, inner, forward, cut_normal, counted);
   int at = 0;
   _Pragma("unroll 1") for (int k = 0; k < held->segments; ++k) {
     const uint bits = held->lanes[k];

@@ -101,6 +101,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
   gathered_clear(&acc);
   HalfOpacity half_ = no_half(); /* in edges from the eye */
   Rays ray = whole_ray;
+  InnerSpan inner = inner_span(view, &ray);
   floatN next_from = 0.0f;  /* where the next stretch may begin, along whole_ray */
   Vectors cut_normal = {0.0f, 0.0f, 0.0f};
   intN i = 0, last = DONE;
@@ -123,7 +124,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
     const intN stretches = alive & MASK(i > last);
     if (held.segments > MOST_HELD - MARCH_STEPS ||
         (held.segments && (composites | any_lane(stretches) | !any_lane(alive))))
-      composite_held(scene, &held, &acc, &ray, forward, cut_normal, counted);
+      composite_held(scene, &held, &acc, &ray, inner, forward, cut_normal, counted);
     composites = 0;
     if (any_lane(stretches)) {
 #if CLIP
@@ -138,6 +139,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
       next_from = select(next_from, whole_ray.length, stretches);
 #endif
       ray = select_rays(ray, rays_in_steps(along, h), stretches);
+      inner = inner_span(view, &ray);
       i = select(i, (intN)0, stretches);
       visible_to = ray.length;
 #if (SPANS && !CLIP) || COHERENT
