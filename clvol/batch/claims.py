@@ -18,7 +18,6 @@ import errno
 import json
 import os
 import secrets
-import socket
 import threading
 import zlib
 from collections.abc import Iterator
@@ -28,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from clvol.errors import RenderError
+from clvol.temporaries import Process, is_here, remove_leftovers, temporary_name, this_process
 
 STALE = 60.0  # seconds without a sign of life
 _TOUCH = 5.0  # seconds between signs of life
@@ -35,14 +35,9 @@ _LONGEST_CHAIN = 1000
 
 
 @dataclass(frozen=True)
-class Owner:
-    """Who has made a claim: a process (``pid``, begun at ``begun`` in the machine's clock ticks) of the machine
-    ``host``, which has been up since ``boot``. ``token`` differs for each claim."""
+class Owner(Process):
+    """The process that has made a claim. ``token`` differs for each claim."""
 
-    host: str
-    boot: str
-    pid: int
-    begun: int
     token: str
 
 
@@ -86,6 +81,8 @@ class Claims:
             raise RenderError(str(path), f"no claim can be created beside it: {error.strerror or error}") from error
         if chain is None:
             return False
+        if len(chain) > 1:
+            remove_leftovers(os.path.dirname(target))
         with self._lock:
             self._own[target] = chain
         if self._thread is None:
@@ -144,9 +141,8 @@ class Claims:
         raise OSError(errno.ELOOP, "too many claims were given up")
 
     def _is_stale(self, claim: Path, owner: Owner) -> bool:
-        me = _me("")
-        if me.boot and (owner.host, owner.boot) == (me.host, me.boot):
-            return _begun(owner.pid) != owner.begun
+        if is_here(owner):
+            return owner.has_ended
         try:
             return _now(claim.parent) - claim.stat().st_mtime > self._stale
         except OSError:
@@ -168,7 +164,7 @@ def _place(target: Path, token: str) -> Path:
 
 def _create(claim: Path, owner: Owner) -> bool:
     """Whether ``claim`` did not exist and now does, whole."""
-    draft = claim.parent / f".{owner.token}.part"
+    draft = claim.parent / temporary_name()
     try:
         with open(draft, "x", encoding="utf-8") as file:
             json.dump(vars(owner), file)
@@ -212,7 +208,7 @@ def _read(claim: Path) -> Owner | None:
 
 def _now(folder: Path) -> float:
     """The time of the file system."""
-    probe = folder / f".{secrets.token_hex(8)}.part"
+    probe = folder / temporary_name()
     with open(probe, "x"):
         pass
     try:
@@ -223,21 +219,4 @@ def _now(folder: Path) -> float:
 
 
 def _me(token: str) -> Owner:
-    return Owner(socket.gethostname(), _boot(), os.getpid(), _begun(os.getpid()), token)
-
-
-def _boot() -> str:
-    """Differs for each start of the machine, and for containers with process numbers of their own."""
-    with suppress(OSError):
-        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
-        return f"{boot} {os.readlink('/proc/self/ns/pid')}"
-    return ""
-
-
-def _begun(pid: int) -> int:
-    """When process ``pid`` of this machine began; 0 if there is none, or if that is not known."""
-    with suppress(OSError, ValueError, IndexError):
-        text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
-        fields = text.rpartition(")")[2].split()
-        return 0 if fields[0] in "ZX" else int(fields[19])
-    return 0
+    return Owner(**vars(this_process()), token=token)

@@ -10,22 +10,25 @@ import signal
 import subprocess
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from clvol.batch.claims import Claims
 from clvol.batch.job import Picture
 from clvol.batch.results import append
 from clvol.batch.run import STEPS, Options, Outcome
 from clvol.errors import RenderError
 from clvol.opencl.children import child_command, child_environment, end_child
+from clvol.temporaries import remove_leftovers
 
 MOST_DEATHS = 3  # of processes that were rendering one picture, until it is given up
 _WORKER = Path(__file__).with_name("worker.py")
 
 
 class _Worker:
-    """A process. ``picture``: the number of the one that it renders."""
+    """A process. ``begun``: the numbers of pictures whose results it has not told, the one that it renders last."""
 
     def __init__(self, arguments: dict[str, Any], cores: Sequence[int], threads: int) -> None:
         watched, self._lifeline = os.pipe()
@@ -43,8 +46,13 @@ class _Worker:
         finally:
             os.close(watched)
         self.cores = cores
-        self.picture: int | None = None
+        self.begun: list[int] = []
         self._rest = b""
+
+    @property
+    def picture(self) -> int | None:
+        """The number of the one that it renders."""
+        return self.begun[-1] if self.begun else None
 
     def messages(self) -> list[dict[str, Any]] | None:
         """What it has told since the last call; None at its end."""
@@ -118,10 +126,10 @@ class WorkerPool:
             return
         for message in messages:
             if "begin" in message:
-                worker.picture = message["begin"]
+                worker.begun = [*worker.begun[-1:], message["begin"]]
                 self._report()
             elif "result" in message:
-                worker.picture = None
+                worker.begun = [number for number in worker.begun if number != message["result"]["picture"]]
                 self._take(message["result"])
 
     def _take(self, result: dict[str, Any]) -> None:
@@ -157,10 +165,19 @@ class WorkerPool:
             if self._early_deaths >= MOST_DEATHS:
                 raise RenderError("workers", f"processes end before they render anything ({how})")
         else:
+            for number in worker.begun:
+                self._clear(self._pictures[number])
             self._deaths[worker.picture] += 1
             if self._deaths[worker.picture] == MOST_DEATHS:
                 self._give_up(worker.picture, how)
         self._begin(worker.cores)
+
+    def _clear(self, picture: Picture) -> None:
+        """Removes what the process that was rendering ``picture`` has left, whether or not another one goes on."""
+        with Claims() as claims, suppress(RenderError):
+            claims.claim(picture.files[0])
+        for folder in {os.path.dirname(path) for path in picture.files}:
+            remove_leftovers(folder or ".")
 
     def _give_up(self, number: int, how: str) -> None:
         picture = self._pictures[number]

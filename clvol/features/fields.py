@@ -1,4 +1,4 @@
-"""Label, density and mask fields."""
+"""Label, density, mask and colour fields."""
 
 from __future__ import annotations
 
@@ -19,19 +19,22 @@ _DOES = {
     "label": "with labels inside the volume",
     "density": "with opacity of its own",
     "mask": "that may cut the volume",
+    "color": "of colours of voxels",
+    "value": "in a joint transfer function",
 }
 _found: WeakKeyDictionary = WeakKeyDictionary()  # volume: {labels: whether any of them occurs}
 
 
 def analyse(found: Findings) -> None:
     kept: list[ResolvedField] = []
-    reasons: dict[str, list[str]] = {"label": [], "density": [], "mask": []}
+    reasons: dict[str, list[str]] = {"label": [], "density": [], "mask": [], "color": [], "value": []}
     for field in found.scene.fields:
         idle = _idle(field, found)
         if idle is None:
             kept.append(field)
         else:
             reasons[field.role].append(idle)
+    del reasons["value"]
     for role, why in reasons.items():
         used = sum(field.role == role for field in kept)
         found.note(_effect(role, used, why))
@@ -51,8 +54,12 @@ def _idle(field: ResolvedField, found: Findings) -> str | None:
         reason = _mask_keeps_all(field, found.scene)
     elif found.projection:
         return f"{found.projection} shows values of the volume alone"
+    elif field.role == "value":
+        reason = None  # known with the layers of the function
     elif field.role == "label":
         reason = _no_label(field, found)
+    elif field.role == "color":
+        reason = _no_color(field, found)
     else:
         reason = _no_density(field, found.scene)
     return NOTHING_VISIBLE if reason is None and found.blank else reason
@@ -64,6 +71,12 @@ def _no_label(field: ResolvedField, found: Findings) -> str | None:
     if not _occurs(field.volume, field.labels):
         return "none of the labels occurs in the field"
     return None if found.emits else "the transfer function shows nothing that has a label"
+
+
+def _no_color(field: ResolvedField, found: Findings) -> str | None:
+    if grids_apart(found.scene.volume.grid, field.volume.grid):
+        return "the field does not meet the volume"
+    return None if found.emits else "the transfer function shows nothing that has a colour"
 
 
 def _no_density(field: ResolvedField, scene: ResolvedScene) -> str | None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import secrets
 import stat
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -13,6 +12,7 @@ from pathlib import Path
 from clvol.errors import ClvolError, RenderError, UsageError
 from clvol.inputs import check_not_read
 from clvol.interrupts import expect_temporary, forget_temporary, held
+from clvol.temporaries import remove_leftovers, temporary_name
 
 _NO_FILE = ((stat.S_ISDIR, "this is a folder"), (stat.S_ISCHR, "this is a device"),
             (stat.S_ISBLK, "this is a device"), (stat.S_ISFIFO, "this is a pipe"),
@@ -21,12 +21,14 @@ _NO_FILE = ((stat.S_ISDIR, "this is a folder"), (stat.S_ISCHR, "this is a device
 
 def check_output_folder(path: str | os.PathLike[str]) -> Path:
     """Checks that a file can be created at ``path``, and returns the resolved path. An existing file is left untouched.
+    What killed processes have left in the folder is removed.
 
     Call it before long work. Raises :class:`clvol.errors.UsageError` when the folder does not exist or cannot be
     written to, and when ``path`` is a folder, a device, a pipe, a socket, or an input (``clvol.inputs.protected``).
     """
     target, temporary = _begin(path)
     _remove(temporary)
+    remove_leftovers(target.parent)
     return target
 
 
@@ -108,7 +110,7 @@ def _begin(path: str | os.PathLike[str]) -> tuple[Path, Path]:
     if not os.path.isdir(folder):
         what = "is not a folder" if os.path.exists(folder) else "does not exist"
         raise UsageError(str(path), f'the folder "{folder}" {what}', "an existing folder")
-    temporary = folder / f".{secrets.token_hex(6)}.part{target.suffix}"
+    temporary = folder / temporary_name(target.suffix)
     expect_temporary(temporary)
     try:
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))

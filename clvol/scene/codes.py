@@ -18,6 +18,7 @@ from clvol.transfer import TransferFunction
 from clvol.volume.axis import ValueAxis
 
 if TYPE_CHECKING:
+    from clvol.scene.channel import ResolvedChannel
     from clvol.scene.field import ResolvedField
     from clvol.scene.opacity_factor import OpacityFactor
     from clvol.scene.resolve import ResolvedScene
@@ -33,8 +34,19 @@ def in_stored_values(resolved: ResolvedScene) -> ResolvedScene:
     ``axis`` of the result maps stored numbers back to values, for messages.
     """
     fields = tuple(_field_in_stored(field) for field in resolved.fields)
+    by_value = [field for field in resolved.fields if field.role == "value"]
+    if any(not field.volume.axis.is_plain for field in by_value):
+        codes = [code_of(axis, volume.dtype) for volume, axis in (field.volume.plain for field in by_value)]
+        layers = tuple(
+            replace(layer, values=tuple(float(code(x)) for code, x in zip(codes, layer.values)))
+            for layer in resolved.transfer_layers
+        )
+        resolved = replace(resolved, transfer_layers=layers)
     if any(a is not b for a, b in zip(fields, resolved.fields)):
         resolved = replace(resolved, fields=fields)
+    channels = tuple(_channel_in_stored(channel) for channel in resolved.channels)
+    if any(a is not b for a, b in zip(channels, resolved.channels)):
+        resolved = replace(resolved, channels=channels)
     volume, axis = resolved.volume.plain
     if axis.is_plain:
         return resolved
@@ -74,8 +86,10 @@ def in_codes(resolved: ResolvedScene, code: Code, per_value: float) -> dict[str,
         )
         for layer in resolved.transfer_layers
     )
+    glow = resolved.glow
     return {
         "transfer_function": function_in_codes(resolved.transfer_function, code),
+        "glow": glow and replace(glow, values=np.clip(code(glow.values), -_LARGEST, _LARGEST)),
         "isosurfaces": tuple(level(surface) for surface in resolved.isosurfaces),
         "material": scaled(resolved.material, "fade"),
         "gradient_opacity": factor(resolved.gradient_opacity),
@@ -94,6 +108,14 @@ def function_in_codes(function: TransferFunction, code: Code) -> TransferFunctio
     return TransferFunction(values, function.opacities, function.colors, function.opacity_unit)
 
 
+def _channel_in_stored(channel: ResolvedChannel) -> ResolvedChannel:
+    volume, axis = channel.volume.plain
+    if axis.is_plain:
+        return channel
+    function = function_in_codes(channel.function, code_of(axis, volume.dtype))
+    return replace(channel, volume=volume, axis=axis, function=function)
+
+
 def _field_in_stored(field: ResolvedField) -> ResolvedField:
     volume, axis = field.volume.plain
     if axis.is_plain:
@@ -102,6 +124,10 @@ def _field_in_stored(field: ResolvedField) -> ResolvedField:
     changed: dict[str, Any] = {"volume": volume, "axis": axis}
     if field.role == "mask":
         changed["threshold"] = float(code(field.threshold))
+    elif field.role == "color":
+        return field
+    elif field.role == "value":
+        changed["base"] = float(code(field.base))
     elif field.role == "density":
         changed["function"] = function_in_codes(field.function, code)
     else:

@@ -16,10 +16,12 @@ from numpy.typing import ArrayLike
 from clvol.errors import SceneError
 from clvol.lazily import lazily
 from clvol.readers import is_url, load_volume
+from clvol.readers.colored import load_colored
 from clvol.readers.options import ALL_TIMES
 from clvol.readers.series import file_series, files_of, is_pattern, series_name
 from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
+from clvol.scene.channel import ResolvedChannel
 from clvol.scene.classification import ChosenClassification, with_classification
 from clvol.scene.clip import Clip
 from clvol.scene.codes import code_of, function_in_codes, in_stored_values
@@ -30,6 +32,7 @@ from clvol.scene.depth_cue import DepthCue
 from clvol.scene.display import Display
 from clvol.scene.environment import Environment
 from clvol.scene.field import ResolvedField
+from clvol.scene.glow import Glow, with_glow
 from clvol.scene.gradient import GradientSettings
 from clvol.scene.image import ImageSettings
 from clvol.scene.integration import Integration
@@ -46,7 +49,7 @@ from clvol.scene.slicing import Slicing
 from clvol.scene.step_times import StepTimes
 from clvol.scene.table import shown
 from clvol.scene.transfer_function import TransferFunctionSettings
-from clvol.scene.transfer_layer import TransferLayer
+from clvol.scene.transfer_layer import TransferLayer, in_rows
 from clvol.scene.volume import VolumeSettings
 from clvol.store.zarr_store import check_finished
 from clvol.transfer import TransferFunction
@@ -100,10 +103,13 @@ class ResolvedScene:
     gradient_opacity: OpacityFactor | None = None
     directional_opacity: OpacityFactor | None = None
     transfer_layers: tuple[TransferLayer, ...] = ()
+    glow: Glow | None = None  # the light of associated colours; ``transfer_function`` is then black
     fields: tuple[ResolvedField, ...] = ()
     noise: tuple[Noise, ...] = ()
     depth_cue: DepthCue | None = None
     animation: Animation = Animation()
+    channels: tuple[ResolvedChannel, ...] = ()  # whose pictures are blended; ``volume`` is that of the first
+    mixed_channels: int = 0  # channels that are one medium: the volume and the first densities of ``fields``
     voxel_range: tuple[float, float] | None = None  # where ``volume`` holds codes instead of voxels
     axis: ValueAxis = ValueAxis()
     compression: Compression = Compression()
@@ -123,6 +129,24 @@ class ResolvedScene:
         return replace(self, volume=volume, animation=self.animation.model_copy(update={"time": time}))
 
     @property
+    def volumes(self) -> tuple[Volume, ...]:
+        """All volumes of the scene, each once: its own, those of channels, and those of fields."""
+        named = [self.volume, *(each.volume for each in self.channels), *(each.volume for each in self.fields)]
+        for field in self.fields:
+            named += field.colors_of_voxels.channels if field.colors_of_voxels is not None else ()
+        return tuple({id(volume): volume for volume in named}.values())
+
+    @property
+    def displayed_function(self) -> TransferFunction:
+        """The transfer function with the colours that it is stated with, also where they are associated."""
+        function = self.transfer_function
+        if self.glow is None:
+            return function
+        brightest = max(float(self.glow.light.max()), 1e-300)
+        colors = np.clip(self.glow.light / brightest, 0.0, 1.0)
+        return TransferFunction(function.values, function.opacities, colors, function.opacity_unit)
+
+    @property
     def data_range(self) -> tuple[float, float]:
         """The lowest and highest finite voxel: the range that relative settings refer to."""
         return self.voxel_range or self.volume.value_range
@@ -137,13 +161,19 @@ class ResolvedScene:
 def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
     """See ``Scene.resolve``."""
     _check_no_labels(scene)
-    volume = scene.load_volume(memory_cap)
     scene = scene.completed(memory_cap)
+    volume = scene.load_volume(memory_cap)
     camera = (scene.camera or Camera()).complete(volume.grid, scene.image, scene.origin, volume.frame)
     _check_step_count(scene, volume.grid)
 
     given = scene.transfer_function
-    if isinstance(given, TransferFunction):
+    channels: tuple[ResolvedChannel, ...] = ()
+    if scene.channel:
+        assert isinstance(given, TransferFunctionSettings) and given.opacity_unit is not None
+        is_linear = given.color_space == "linear"
+        channels = _channels(scene, given.opacity_unit, is_linear, memory_cap)
+        function = channels[0].function
+    elif isinstance(given, TransferFunction):
         function, is_linear = given, True
     else:
         settings = given or TransferFunctionSettings()
@@ -151,6 +181,9 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
             volume.value_range, default_opacity_unit(volume.grid), scene.folder, scene.origin
         )
         is_linear = settings.color_space == "linear"
+    glow = None
+    if isinstance(given, TransferFunctionSettings) and given.associated:
+        function, glow = with_glow(function, given.emission)
 
     def decoded(color: ArrayLike) -> np.ndarray:
         return in_linear_light(color, is_linear)
@@ -158,10 +191,15 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
     background = decoded(scene.image.background)
     background.setflags(write=False)
     unit = function.opacity_unit
-    fields = (
+    fields = [
         settings.resolved(field, unit, decoded, scene.folder)
         for settings, field in zip(scene.field, scene.load_fields(memory_cap))
-    )
+    ]
+    if volume.colors is not None and not scene.channel:
+        fields.insert(0, ResolvedField(volume, "color", colors_of_voxels=volume.colors))
+    mixes = scene.integration.blend == "mix"
+    if mixes:
+        fields[:0] = [ResolvedField(each.volume, "density", function=each.function) for each in channels[1:]]
     environment, cue = scene.environment, scene.depth_cue
     if environment is not None:
         environment = environment.found_in(scene.folder, scene.origin, memory_cap)
@@ -189,8 +227,11 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         shadow=scene.shadow,
         gradient_opacity=None if scene.gradient_opacity is None else scene.gradient_opacity.factor(),
         directional_opacity=None if scene.directional_opacity is None else scene.directional_opacity.factor(),
-        transfer_layers=tuple(layer.layer(unit, decoded) for layer in scene.transfer_layer),
+        transfer_layers=_layers(scene, fields, unit, decoded),
+        glow=glow,
         fields=tuple(fields),
+        channels=() if mixes or len(channels) == 1 else channels,
+        mixed_channels=len(channels) if mixes else 0,
         noise=scene.noise,
         depth_cue=cue,
         animation=scene.animation,
@@ -202,6 +243,33 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         steps=scene.step_times(memory_cap),
     )
     return with_classification(in_stored_values(resolved))
+
+
+def _channels(
+    scene: Scene, opacity_unit: float, is_linear: bool, memory_cap: int | None
+) -> tuple[ResolvedChannel, ...]:
+    """The channels of a completed scene, stated in values."""
+
+    def decoded(color: ArrayLike) -> np.ndarray:
+        return in_linear_light(color, is_linear)
+
+    return tuple(
+        ResolvedChannel(volume, settings.function(opacity_unit, decoded), settings.name(number))
+        for number, (settings, volume) in enumerate(zip(scene.channel, scene.load_channels(memory_cap)))
+    )
+
+
+def _layers(
+    scene: Scene, fields: list[ResolvedField], unit: float, decoded: Callable[[ArrayLike], np.ndarray]
+) -> tuple[TransferLayer, ...]:
+    layers = tuple(layer.layer(unit, decoded) for layer in scene.transfer_layer)
+    bases = [field.base for field in fields if field.role == "value"]
+    where = f"{scene.origin}: transfer_layer"
+    wrong = next((layer.values for layer in layers if len(layer.values) != len(bases)), None)
+    if wrong is not None or (bases and not layers):
+        what = f"{len(wrong or ())} values beside {len(bases)} fields of role 'value'"
+        raise SceneError(where, what, "values = [one for each field of role 'value'], at most two")
+    return in_rows(layers, bases, where) if bases else layers
 
 
 def _surface(surface: Isosurface, decoded: Callable[[ArrayLike], np.ndarray]) -> Isosurface:
@@ -223,6 +291,9 @@ def load_scene_volume(
     if settings.file is None:
         raise SceneError(f"{origin}: volume.file", "missing", "a volume file or a DICOM folder")
     if is_series(settings, folder):
+        if settings.color is not None:
+            what = f"got {settings.color!r} for a volume that changes over time"
+            raise SceneError(f"{origin}: volume.color", what, "colours of one time")
         return _load_series(settings, folder, origin, memory_cap)
     for key in ("step", "steps_per_second", "value_range"):
         if (value := getattr(settings, key)) is not None:
@@ -234,6 +305,8 @@ def load_scene_volume(
         check_finished(path)
         got = f"got {settings.file!r}, no such file"
         raise SceneError(f"{origin}: volume.file", got, "a volume file or a DICOM folder")
+    if settings.color is not None:
+        return load_colored(path, settings.color, **_read_options(settings, memory_cap))
     volume = load_volume(path, **_read_options(settings, memory_cap))
     if settings.nan != "transparent" and volume.nan_count:
         volume = _with_nan_as(volume, settings.nan)

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,8 @@ import pytest
 from clvol.batch import claims as claims_module
 from clvol.batch.claims import Claims
 from clvol.errors import RenderError
+from clvol.image import check_output_folder
+from clvol.temporaries import Process, remove_leftovers, temporary_name, this_process
 
 
 @pytest.fixture
@@ -85,6 +88,52 @@ def test_a_process_that_has_ended_loses_its_claims_at_once(tmp_path, claims):
     subprocess.run([sys.executable, "-c", code, str(path)], check=True)
     assert hidden(tmp_path)
     assert claims.claim(path)
+
+
+def killed_while_it_writes(path: Path) -> None:
+    """A process that has claimed ``path`` and has begun to write it, and to claim another file."""
+    code = """
+import os, signal, sys
+from clvol.batch.claims import Claims
+from clvol.image import atomic_path
+from clvol.temporaries import temporary_name
+Claims().claim(sys.argv[1])
+with atomic_path(sys.argv[1]) as part:
+    part.write_bytes(b"half")
+    open(os.path.join(os.path.dirname(sys.argv[1]), temporary_name()), "x").close()
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+    assert subprocess.run([sys.executable, "-c", code, str(path)]).returncode == -signal.SIGKILL
+
+
+@pytest.mark.parametrize("way", ["claim", "check", "remove"])
+def test_what_a_killed_process_has_left_is_removed(tmp_path, claims, way):
+    path = tmp_path / "a.png"
+    killed_while_it_writes(path)
+    assert sorted(name[-9:] for name in hidden(tmp_path) if ".part" in name)[0] == ".part.png"
+    assert len(hidden(tmp_path)) == 3  # with the claim
+    if way == "claim":
+        assert claims.claim(path)
+        claims.release(path)
+        assert not hidden(tmp_path)
+    elif way == "check":
+        check_output_folder(tmp_path / "b.png")
+    else:
+        remove_leftovers(tmp_path)
+    assert not [name for name in hidden(tmp_path) if ".part" in name]
+
+
+def test_what_others_are_writing_stays(tmp_path):
+    """A process that runs, one of another machine, and files that are not ours."""
+    process = this_process()
+    elsewhere = Process("elsewhere", "x", process.pid, process.begun)
+    kept = [temporary_name(".png"), temporary_name().replace(process.label, elsewhere.label), ".x.part", ".part.png"]
+    ended = temporary_name().replace(process.label, replace(process, begun=process.begun - 1).label)
+    for name in [*kept, ended]:
+        (tmp_path / name).touch()
+    remove_leftovers(tmp_path)
+    assert hidden(tmp_path) == sorted(kept)
+    remove_leftovers(tmp_path / "nowhere")
 
 
 def test_a_number_of_a_process_that_is_used_again_is_another_process(tmp_path, claims):

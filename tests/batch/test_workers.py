@@ -51,6 +51,10 @@ def kill(pool: WorkerPool, name: str) -> None:
             os.kill(worker.process.pid, signal.SIGKILL)
 
 
+def hidden() -> list[str]:
+    return [name for name in os.listdir() if name.startswith(".")]
+
+
 def test_processes_that_end_at_once_are_an_error(job, tmp_path, monkeypatch):
     (tmp_path / "worker.py").write_text("raise SystemExit(5)")
     monkeypatch.setattr(workers_module, "_WORKER", tmp_path / "worker.py")
@@ -66,6 +70,7 @@ def test_one_that_nobody_survives_is_given_up_and_the_others_are_right(job):
     (failed,) = [each for each in results_in("r.jsonl") if each["status"] == "failed"]
     assert failed["files"] == [victim] and "3 processes ended while they rendered it (SIGKILL)" in failed["message"]
     assert not os.path.exists(victim)
+    assert not hidden()
     made = {name: np.load(name) for name in os.listdir() if name.endswith(".npy") and name != "cube.npy"}
     for name in made:
         os.remove(name)
@@ -90,4 +95,4 @@ def test_killed_at_random_nothing_is_lost_and_nothing_doubled(job):
     assert all(os.path.exists(f"{step:g}.npy") for step in STEPS)
     rendered = [each["picture"] for each in results_in("r.jsonl")]
     assert len(rendered) == len(set(rendered))
-    assert not [name for name in os.listdir() if name.endswith(".claim")]
+    assert not hidden()

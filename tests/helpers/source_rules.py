@@ -21,7 +21,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # From the bottom up: a module imports its own room and rooms that are listed before it.
 ORDER = (
-    ("errors", "text", "interrupts", "limits", "json_values", "quietly", "cache_folder", "lazily"),
+    ("errors", "text", "interrupts", "limits", "json_values", "quietly", "cache_folder", "lazily",
+     "temporaries"),
     ("volume",), ("inputs",), ("transfer",), ("store",), ("readers",), ("choice",), ("image",), ("scene",),
     ("features",), ("overlay",), ("schedule",), ("opencl",), ("device",), ("encoding",), ("integrators",),
     ("render", "explanation"), ("accuracy",), ("bricks",), ("batch",), ("cluster",), ("cli",),
