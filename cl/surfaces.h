@@ -94,9 +94,8 @@ INLINE void composite_stretch(Gathered *acc, Emission e, floatN length, floatN f
  * and behind them: `e` of a whole step, nothing unless `visible`. Lanes in `last`: nothing of the walk is left for
  * another segment. Of `active` lanes those that are not `owned` pass their surfaces without a trace (owned_box.h). */
 INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vectors view, floatN t0, floatN t1,
-                                    floatN length,
-                                    Emission e, int visible, intN active, intN owned, intN last, intN may_bend, Gathered *acc,
-                                    HalfBetween *half_, uintN *taken, Tally *counted)
+                                    floatN length, Emission e, int visible, intN active, intN owned, intN last,
+                                    intN may_bend, Gathered *acc, HalfBetween *half_, uintN *taken, Tally *counted)
 {
   __constant const Effects *effects = scene->effects;
   const float steps = 1.0f / scene->view->step, enough = scene->view->stop_opacity;

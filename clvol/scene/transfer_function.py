@@ -83,6 +83,10 @@ class TransferFunctionSettings(Table):
     several presets. ``opacity`` is their opacity curve: it takes the place of the file's, and by default rises from 0
     to 0.5 where there is none.
 
+    With ``associated`` colours light is independent of opacity (Engel and Ertl 2002, equation 15): a path of
+    opacity_unit emits ``emission`` times the colour, of which what absorbs on the way takes its part; a value of
+    opacity 0 may emit. No light shades it.
+
     ``opacity_unit`` is the world length that opacities refer to. It defaults to 1 for points, to that of the file where
     it states one, and otherwise to a 32nd of the volume's shortest edge. ``color_space`` is the colour space of the
     points' colours and of the image's background.
@@ -98,6 +102,16 @@ class TransferFunctionSettings(Table):
         "srgb",
         title="Colour space of the colours of points and of the background.",
         description="'srgb' or 'linear'",
+    )
+    associated: bool = Field(
+        False,
+        title="Colours are the light that an opacity_unit emits, whatever its opacity: glow and flames.",
+        description="true or false",
+    )
+    emission: Number = Field(
+        1.0, ge=0, le=1e6,
+        title="Factor on the light of associated colours; above 1 it exceeds white.",
+        description="a number from 0 to 1e6",
     )
     points: Annotated[tuple[ControlPoint, ...], AsTuple] | None = Field(
         None,
@@ -159,6 +173,8 @@ class TransferFunctionSettings(Table):
             value = getattr(self, key)
             if value is not None and not set(owners) & set(given):
                 raise wrong(key, _brief(value), f"{key} beside {' or '.join(owners)}")
+        if "emission" in self.model_fields_set and not self.associated:
+            raise wrong("emission", self.emission, "no emission without associated = true")
         if self.preset is not None and not is_known(self.preset):
             raise wrong("preset", self.preset, expected_preset(self.preset))
         if self.range is not None and not self.range[0] < self.range[1]:

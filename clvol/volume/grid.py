@@ -95,6 +95,10 @@ class Grid:
 
     def world_to_index(self) -> np.ndarray:
         """4x4 float64: the inverse of ``index_to_world``."""
+        return self._world_to_index.copy()
+
+    @cached_property
+    def _world_to_index(self) -> np.ndarray:
         matrix = np.eye(4)
         matrix[:3, :3] = np.linalg.inv(self.direction) / np.asarray(self.spacing)[:, None]
         matrix[:3, 3] = -(matrix[:3, :3] @ np.asarray(self.origin))
