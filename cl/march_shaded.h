@@ -49,7 +49,7 @@ INLINE Emission emission_between(floatN front, floatN back, intN active, __globa
 #endif
 }
 
-INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
+PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
                           Tally *counted FIRST_PARAMETER)
 {
   __global const uchar *distances = scene->distances;
