@@ -60,7 +60,7 @@ class Tile:
         """Files that the scene names and that are not there."""
         with open(self.path, "rb") as file:
             told = tomllib.load(file)
-        tables = [told["volume"], *told.get("field", []), told.get("environment", {})]
+        tables = [told["volume"], *told.get("field", []), *told.get("channel", []), told.get("environment", {})]
         files = [self.path.parent / part["file"] for part in tables if "file" in part]
         return [file for file in files if not file.exists()]
 
@@ -103,6 +103,8 @@ TILES = (
          "label field", '[[field]] role = "label"'),
     Tile("inia19-mask", "Mask", "The same labels as a mask: a brain without its head.",
          "mask field", '[[field]] role = "mask"'),
+    Tile("vismale-channels", "Channels", "Skin, muscle and bone as channels of colours of their own, whose light "
+         "is screened.", "channels", "[[channel]], [integration] blend"),
     Tile("vismale-clipped", "Clipping", "By a box and a sphere; faces of the cut are lit.",
          "clipping", "[[clip]]"),
     Tile("aneurism-depth", "Depth cueing", "Far vessels fade into the page.",

@@ -154,14 +154,15 @@ def show(result: dict[str, Any]) -> str:
     frames = ", ".join(str(c["time"]["frames"]) for c in result["cases"])
     jobs = [
         [f"{j['pictures']} pictures, {j['size']}², {j['varied']} varies", f"{1e3 * j['picture']:.1f}",
-         f"{1e3 * j['frame']:.1f}", f"{j['picture'] / j['frame']:.2f}", f"< {JOB_GOAL:g}"]
+         f"{1e3 * j['frame']:.1f}", f"{j['picture'] / j['frame']:.2f}", f"< {JOB_GOAL:g}",
+         f"{1e3 * j['wall']['picture']:.1f}", f"{j['wall']['picture'] / j['wall']['frame']:.2f}"]
         for j in result["jobs"]
     ]  # fmt: skip
     return "\n".join([
         table(head, rows),
         f"medians of {frames} runs; load average {result['load_before']} to {result['load_after']}",
         "",
-        table(["job", "processor ms per picture", "per frame", "ratio", "goal"], jobs),
+        table(["job", "processor ms per picture", "per frame", "ratio", "goal", "wall ms per picture", "ratio"], jobs),
     ])  # fmt: skip
 
 

@@ -2,7 +2,7 @@
 
     python -m bench.startup_job FOLDER camera|function SIZE COUNT DEVICE
 
-Prints JSON: ``picture`` and ``frame``, medians in seconds of a processor.
+Prints JSON: ``picture`` and ``frame``, medians in seconds of a processor, and on the clock (``wall``).
 """
 
 from __future__ import annotations
@@ -34,6 +34,11 @@ def job_text(folder: Path, varied: str, size: int, count: int) -> str:
     )
 
 
+def _now() -> tuple[float, float]:
+    """Seconds of a processor, and on the clock."""
+    return time.process_time(), time.perf_counter()
+
+
 def main(folder: str, varied: str, size: str, count: str, device: str = "") -> None:
     from clvol.batch.job import load_job, pictures_of
     from clvol.batch.run import JobRun, Options
@@ -46,10 +51,10 @@ def main(folder: str, varied: str, size: str, count: str, device: str = "") -> N
     job.write_text(job_text(place, varied, int(size), int(count)), encoding="utf-8")
     pictures = pictures_of(load_job(job), job)
     devices = [device] if device else None
-    done: list[float] = []
+    done: list[tuple[float, float]] = []
     outcome = JobRun(
         pictures, Options(devices=devices, results=str(place / "results.jsonl")),
-        lambda result: done.append(time.process_time()),
+        lambda result: done.append(_now()),
     ).run()  # fmt: skip
     assert outcome.counts["rendered"] == len(pictures), outcome
     frames = []
@@ -57,17 +62,18 @@ def main(folder: str, varied: str, size: str, count: str, device: str = "") -> N
         for picture in pictures:
             scene = load_scene(picture.source, settings=picture.settings)
             if varied == "camera":
-                begun = time.process_time()
+                begun = _now()
                 renderer.render(camera=scene.camera, depth=False)
             else:
                 renderer.set_transfer_function(scene.resolve().transfer_function)
-                begun = time.process_time()
+                begun = _now()
                 renderer.render(depth=False)
-            frames.append(time.process_time() - begun)
+            frames.append([b - a for a, b in zip(begun, _now())])
+    between = [[b - a for a, b in zip(*two)] for two in zip(done[_SETTLED:], done[_SETTLED + 1 :])]
+    (picture, picture_wall), (frame, frame_wall) = (map(median, zip(*each)) for each in (between, frames[_SETTLED:]))
     result = {
-        "varied": varied, "size": int(size), "pictures": len(pictures),
-        "picture": median(b - a for a, b in zip(done[_SETTLED:], done[_SETTLED + 1 :])),
-        "frame": median(frames[_SETTLED:]),
+        "varied": varied, "size": int(size), "pictures": len(pictures), "picture": picture, "frame": frame,
+        "wall": {"picture": picture_wall, "frame": frame_wall},
     }  # fmt: skip
     print(json.dumps(result), flush=True)
     os._exit(0)  # drivers may crash while they are unloaded

@@ -75,6 +75,35 @@ __kernel void distance_pass(__global const uchar *restrict in, __global uchar *r
   }
 }
 
+/* The map of each octant of directions (skip_empty.h): distances to the nearest cell of the mask ahead, in no coordinate
+ * behind. A work-item makes one map, from its far corner: a transparent cell is one farther than the nearest of the seven
+ * cells ahead of it.
+ *
+ * maps  uchar [9, cells.z, cells.y, cells.x]: the first one is 0 in the mask, the others are written
+ */
+__kernel void octant_distances(__global uchar *maps, int4 cells)
+{
+  const int octant = get_global_id(0), nx = cells.x, ny = cells.y, nz = cells.z;
+  const int right = octant & 1, down = octant >> 1 & 1, away = octant >> 2 & 1;
+  __global uchar *map = maps + (size_t)(octant + 1) * nx * ny * nz;
+  const int step = right ? 1 : -1, row = down ? nx : -nx, slice = away ? nx * ny : -nx * ny;
+  for (int k = 0; k < nz; ++k)
+    for (int j = 0; j < ny; ++j) {
+      const int y = down ? ny - 1 - j : j, z = away ? nz - 1 - k : k;
+      int at = (z * ny + y) * nx + (right ? nx - 1 : 0);
+      int last = 254, before = 254; /* of the cell ahead in x: its own distance, and the least of the three beside it */
+      for (int i = 0; i < nx; ++i, at -= step) {
+        int beside = 254;
+        if (j > 0) beside = min(beside, (int)map[at + row]);
+        if (k > 0) beside = min(beside, (int)map[at + slice]);
+        if (j > 0 && k > 0) beside = min(beside, (int)map[at + row + slice]);
+        last = maps[at] ? 1 + min(min(beside, before), last) : 0;
+        map[at] = (uchar)last;
+        last = min(last, 254), before = beside;
+      }
+    }
+}
+
 #if VOXEL_BITS == 8
 /* The layout of fetch_voxel.h: for each (z, y < size.y - 1, x) the voxels y and y + 1 side by side. */
 __kernel void pair_rows(__global const uchar *restrict volume, int4 size, __global uchar *restrict pairs)

@@ -69,6 +69,7 @@
 #define FIELD_LABEL 1
 #define FIELD_DENSITY 2
 #define FIELD_MASK 4
+#define FIELD_COLOR 8
 
 /* What a term of noise perturbs, and bits of the switch NOISE: whether any term does (noise.h). */
 #define NOISE_TARGET_VALUE 0
@@ -99,7 +100,7 @@
 #define CELL_EMPTY 255
 
 /* Lengths of arrays in structs. */
-#define MOST_FIELDS 3
+#define MOST_FIELDS 8
 #define MOST_NOISE_TERMS 4
 #define MOST_HALVES 16
 #define MOST_LEVELS 5

@@ -1,8 +1,10 @@
-/* Further volumes on their own grids, looked up by place: labels replace colours and weight the extinction, densities
- * add a medium of their own, masks cut.
+/* Further volumes on their own grids, looked up by place: colours and labels replace the volume's colours, labels weight
+ * the extinction, densities add a medium of their own, masks cut.
  *
  * All voxels are floats in `fields`. The voxels of labels hold the label's place among those that have a colour, from 1
- * on, and 0 for all others; what is not finite is NaN. An axis of one voxel is stored twice. Tables are in `factors`:
+ * on, and 0 for all others; what is not finite is NaN. An axis of one voxel is stored twice. Those of colours
+ * are words of square roots of linear light (clvol/device/voxel_colors.py), interpolated linearly as light. Tables are in
+ * `factors`:
  * for labels (colour, factor) by their place, for densities the pieces of their function (transfer_pieces.h). Outside
  * its grid a field has no label and no density, and a mask removes everything.
  */
@@ -72,10 +74,36 @@ INLINE floatN linear_in_field(const Scene *scene, int k, FieldPlace p)
   return mix_voxels(slices[0], slices[1], fz);
 }
 
+#if FIELDS & FIELD_COLOR
+
+/* The colour of field `k`, linear light. */
+INLINE Vectors color_in_field(const Scene *scene, int k, FieldPlace p)
+{
+  const int4 size = scene->effects->fields[k].size;
+  const intN ix = min(TO_INT(p.x), (intN)(size.x - 2)), iy = min(TO_INT(p.y), (intN)(size.y - 2));
+  const intN iz = min(TO_INT(p.z), (intN)(size.z - 2));
+  const floatN fx = p.x - TO_FLOAT(ix), fy = p.y - TO_FLOAT(iy), fz = p.z - TO_FLOAT(iz);
+  const intN at = (iz * size.y + iy) * size.x + ix;
+  __global const float *voxels = scene->fields + scene->effects->fields[k].first_voxel;
+  Vectors sum = {0.0f, 0.0f, 0.0f};
+  _Pragma("unroll 1") for (int corner = 0; corner < 8; ++corner) {
+    const int x = corner & 1, y = corner >> 1 & 1, z = corner >> 2;
+    const floatN weight = (x ? fx : 1.0f - fx) * (y ? fy : 1.0f - fy) * (z ? fz : 1.0f - fz);
+    const uintN word = AS_UINT(gather4(voxels + ((size_t)z * size.y + y) * size.x + x, at));
+    const floatN r = TO_FLOAT(AS_INT(word & 0x7ffu)) * (1.0f / 2047.0f);
+    const floatN g = TO_FLOAT(AS_INT(word >> 11 & 0x7ffu)) * (1.0f / 2047.0f);
+    const floatN b = TO_FLOAT(AS_INT(word >> 22)) * (1.0f / 1023.0f);
+    sum.x += weight * r * r, sum.y += weight * g * g, sum.z += weight * b * b;
+  }
+  return sum;
+}
+
+#endif
+
 /* What fields make of a segment. */
 typedef struct {
   Emission added; /* of a segment of one step, where the masks keep all of it */
-  Vectors color;  /* in place of the volume's, where `labelled` */
+  Vectors color;  /* of labels and voxels, in place of the volume's where `labelled` */
   intN labelled;
   floatN factor;  /* on the volume's extinction */
   floatN kept;    /* share that the masks keep */
@@ -102,7 +130,7 @@ INLINE void add_density(const Scene *scene, int k, floatN value, const Rays *ray
   __constant const Field *field = &e->fields[k];
   __global const float *rows = scene->factors + e->fields[k].table;
   const Pieces f = {rows, (intN)0, field->piece_columns, field->piece_count, 0,
-                    rows[ROW_ORIGIN * field->piece_columns]};
+                    rows[ROW_ORIGIN * field->piece_columns], 1};
   const floatN units = field->edge_units * scene->view->step;
   there &= finite_lanes(value);
   value = select((floatN)0.0f, value, there);
@@ -200,6 +228,19 @@ INLINE FieldLook look_at_fields(const Scene *scene, const Rays *ray, floatN t0, 
     if (!any_lane(there)) continue;
     count_lanes(&counted[COUNT_FIELD_SAMPLES], there);
     add_density(scene, k, linear_in_field(scene, k, p), ray, t0, t1, there, &look.added);
+  }
+#endif
+#if FIELDS & FIELD_COLOR
+  if (any_lane(shows)) {
+    _Pragma("unroll 1") for (int k = 0; k < e->field_count; ++k) {
+      if (e->fields[k].role != FIELD_COLOR) continue;
+      const FieldPlace p = place_in_field(scene, k, x, y, z);
+      const intN there = shows & p.inside;
+      if (!any_lane(there)) continue;
+      count_lanes(&counted[COUNT_FIELD_SAMPLES], there);
+      look.color = select3(look.color, color_in_field(scene, k, p), there);
+      look.labelled |= there;
+    }
   }
 #endif
 #if FIELDS & FIELD_LABEL

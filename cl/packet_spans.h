@@ -86,15 +86,26 @@ INLINE floatN falls_below(floatN a, floatN slope, floatN inverse, floatN s, intN
 }
 
 /* Where the frusta leave the cells from `first` to before `end` of an axis with `cells`; what lies outside of the
- * volume does not matter. */
-INLINE floatN leaves_cells(const Sides *sides, intN first, intN end, int cells, int shift, floatN s, intN *inside)
+ * volume does not matter. No side falls below `first` in lanes that are `ahead` of it. */
+INLINE floatN leaves_cells(const Sides *sides, intN first, intN end, int cells, int shift, floatN s, intN ahead,
+                           intN behind, intN *inside)
 {
   const floatN infinite = INFINITY;
-  const floatN low = select(TO_FLOAT(first << shift), -infinite, MASK(first <= 0));
-  const floatN high = select(TO_FLOAT(end << shift), infinite, MASK(end >= cells));
+  const floatN low = select(TO_FLOAT(first << shift), -infinite, MASK(first <= 0) | ahead);
+  const floatN high = select(TO_FLOAT(end << shift), infinite, MASK(end >= cells) | behind);
   const floatN a = falls_below(sides->low - low, sides->low_slope, sides->low_inverse, s, inside);
   const floatN b = falls_below(high - sides->high, -sides->high_slope, -sides->high_inverse, s, inside);
   return lane_min(a, b);
+}
+
+/* The cell of an axis from which the frusta leap at depth s: that of the side which lags, where all rays go to larger
+ * (`ahead`) or all to smaller coordinates (`behind`), otherwise that of the middle. */
+INLINE intN leaps_from(const Sides *sides, floatN s, float upper, int shift, intN last, intN ahead,
+                       intN behind)
+{
+  const floatN place = select(select(sides->place, sides->high, behind), sides->low, ahead);
+  const floatN slope = select(select(sides->slope, sides->high_slope, behind), sides->low_slope, ahead);
+  return min(TO_INT(lane_clamp(place + s * slope, (floatN)0.0f, (floatN)upper)) >> shift, last);
 }
 
 /* From s on, at most to `end`: the depth before which the frusta see nothing, or beyond `end` if they never do. */
@@ -104,20 +115,27 @@ INLINE floatN span_leaps(__global const uchar *distances, __constant const View 
   const int shift = view->cell_shift;
   const intN zero = 0, last_x = view->cells.x - 1, last_y = view->cells.y - 1, last_z = view->cells.z - 1;
   intN active = MASK(s < end);
+  /* Frusta all of whose rays are of one octant leap by its map: from the corner of their cells at which they lag, as
+   * far as the cube ahead of that corner goes. */
+  intN ahead[3], behind[3], octant = 0, one = (intN)(view->octant_cells > 0 ? -1 : 0);
+  for (int k = 0; k < 3; ++k) {
+    ahead[k] = MASK(lane_min(sides[k].low_slope, sides[k].high_slope) >= 0.0f);
+    behind[k] = MASK(lane_max(sides[k].low_slope, sides[k].high_slope) <= 0.0f) & ~ahead[k];
+    one &= ahead[k] | behind[k], octant |= ahead[k] & (1 << k);
+  }
+  for (int k = 0; k < 3; ++k) ahead[k] &= one, behind[k] &= one;
+  const intN own = (octant + 1) * view->octant_cells & one;
   _Pragma("unroll 1") while (any_lane(active)) {
     COUNT_LEAP(counted, active)
     const floatN at = select((floatN)0.0f, s, active);
-    const intN cx = min(TO_INT(lane_clamp(sides[0].place + at * sides[0].slope, (floatN)0.0f, (floatN)view->upper.x))
-                        >> shift, last_x);
-    const intN cy = min(TO_INT(lane_clamp(sides[1].place + at * sides[1].slope, (floatN)0.0f, (floatN)view->upper.y))
-                        >> shift, last_y);
-    const intN cz = min(TO_INT(lane_clamp(sides[2].place + at * sides[2].slope, (floatN)0.0f, (floatN)view->upper.z))
-                        >> shift, last_z);
-    const intN D = AS_INT(gather1(distances, (cz * view->cells.y + cy) * view->cells.x + cx) & 255u);
+    const intN cx = leaps_from(&sides[0], at, view->upper.x, shift, last_x, ahead[0], behind[0]);
+    const intN cy = leaps_from(&sides[1], at, view->upper.y, shift, last_y, ahead[1], behind[1]);
+    const intN cz = leaps_from(&sides[2], at, view->upper.z, shift, last_z, ahead[2], behind[2]);
+    const intN D = AS_INT(gather1(distances, own + ((cz * view->cells.y + cy) * view->cells.x + cx)) & 255u);
     active &= MASK(D > zero);
-    const floatN x = leaves_cells(&sides[0], cx - D + 1, cx + D, view->cells.x, shift, at, &active);
-    const floatN y = leaves_cells(&sides[1], cy - D + 1, cy + D, view->cells.y, shift, at, &active);
-    const floatN z = leaves_cells(&sides[2], cz - D + 1, cz + D, view->cells.z, shift, at, &active);
+    const floatN x = leaves_cells(&sides[0], cx - D + 1, cx + D, view->cells.x, shift, at, ahead[0], behind[0], &active);
+    const floatN y = leaves_cells(&sides[1], cy - D + 1, cy + D, view->cells.y, shift, at, ahead[1], behind[1], &active);
+    const floatN z = leaves_cells(&sides[2], cz - D + 1, cz + D, view->cells.z, shift, at, ahead[2], behind[2], &active);
     const floatN leave = lane_min(lane_min(x, y), z);
     active &= MASK(leave >= at + LEAST_LEAP);
     s = select(s, leave, active);

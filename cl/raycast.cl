@@ -47,6 +47,13 @@ __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict i
     if (column >= right || row >= bottom) continue;
 #if SPANS
     if (from[packet % LANES] > to[packet % LANES]) {
+#if LANES == 16 && !COHERENT && !WITH_DEPTH
+      if (column + PACKET_W <= right && row + PACKET_H <= bottom) { /* a row of pixels is a vector */
+        __global float *first = (__global float *)(image + (size_t)row * width + column);
+        for (int y = 0; y < PACKET_H; ++y) vstore16((float16)0.0f, 0, first + 4 * (size_t)y * width);
+        continue;
+      }
+#endif
       for (int y = row; y < min(row + PACKET_H, bottom); ++y)
         for (int x = column; x < min(column + PACKET_W, right); ++x) {
           const size_t pixel = (size_t)y * width + x;

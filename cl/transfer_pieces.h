@@ -61,13 +61,14 @@ typedef struct {
   int count;     /* pieces */
   int in_registers;
   float origin;
+  int in_memory; /* has columns of its own, whatever TRANSFER_PIECES says of the scene's function */
 } Pieces;
 
 /* The scene's function, or where there are layers the one that begins `first` floats into `table`. */
 INLINE Pieces scene_pieces(__global const float *table, intN first, __constant const View *view)
 {
   const Pieces f = {table, first, view->piece_columns, view->piece_count, TRANSFER_PIECES == 16,
-                    table[ROW_ORIGIN * view->piece_columns]};
+                    table[ROW_ORIGIN * view->piece_columns], 0};
   return f;
 }
 
@@ -76,6 +77,7 @@ INLINE floatN piece_row(Pieces f, int row, intN piece)
 #if LANES == 16
   if (f.in_registers) return permuted_lanes(vload16(row, f.rows), piece);
 #ifdef TABLES_IN_REGISTERS
+  if (f.in_memory) return AS_FLOAT(gather4(f.rows + row * f.columns, f.first + piece));
   if (TRANSFER_PIECES == 32) return permuted_lanes32(f.rows + row * 32, piece);
   if (TRANSFER_PIECES == 64) return permuted_lanes64(f.rows + row * 64, piece);
   if (TRANSFER_PIECES == 128) return permuted_lanes128(f.rows + row * 128, piece);

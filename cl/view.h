@@ -67,6 +67,7 @@ typedef struct {
   int piece_columns;    /* columns of the transfer function's table (transfer_pieces.h) */
   int piece_count;      /* pieces of the function that has most */
   int function_floats;  /* of one function's table */
+  int octant_cells;     /* cells of the distance map, where one per octant follows it (skip_empty.h); else 0 */
 } View;
 
 #if VOXEL_BITS == 64
@@ -89,6 +90,7 @@ typedef struct {
   FIELD(View, first_value), FIELD(View, nodes_per_value), FIELD(View, last_node), FIELD(View, warp_bins), \
   FIELD(View, gate_low), FIELD(View, gate_high), FIELD(View, step_units), FIELD(View, voxel_gain), \
   FIELD(View, zero), FIELD(View, cell_shift), FIELD(View, cell_parts), FIELD(View, row_stride), \
-  FIELD(View, slice_stride), FIELD(View, piece_columns), FIELD(View, piece_count), FIELD(View, function_floats)
+  FIELD(View, slice_stride), FIELD(View, piece_columns), FIELD(View, piece_count), FIELD(View, function_floats), \
+  FIELD(View, octant_cells)
 
 #endif

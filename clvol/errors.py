@@ -56,6 +56,22 @@ class VolumeError(ClvolError):
     exit_status = 2
 
 
+class SeveralChannels(VolumeError):
+    """A file has several channels, of which none is selected.
+
+    ``numbers`` select them, ``names`` are theirs (None: without one). ``colors``: sRGB colours (three numbers from 0
+    to 1), and ``ranges``: the values (lowest, highest) that the file states for displaying each; None where it states
+    none.
+    """
+
+    def __init__(self, where: str, what: str, expected: str | None = None) -> None:
+        super().__init__(where, what, expected)
+        self.numbers: tuple[int, ...] = ()
+        self.names: tuple[str | None, ...] = ()
+        self.colors: tuple[tuple[float, float, float] | None, ...] = ()
+        self.ranges: tuple[tuple[float, float] | None, ...] = ()
+
+
 class UsageError(ClvolError):
     """A command-line or call argument is wrong."""
 

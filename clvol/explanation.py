@@ -13,6 +13,7 @@ from clvol.device.environment_file import load_radiance
 from clvol.features.analysis import effects, reduced
 from clvol.features.compression import explained
 from clvol.features.scene_warnings import camera_warning, scene_warnings
+from clvol.integrators.channels import shown_channels
 from clvol.integrators.raycast.history import unsupported
 from clvol.integrators.registry import check_scene, integrator_of
 from clvol.opencl.context import compile_options
@@ -93,6 +94,11 @@ def kernel_hash(resolved: ResolvedScene, lanes: int = 16) -> str:
     The device is assumed to have room for all precomputed data, and the voxels to be those that are rendered, after
     any prefilter; decoded ones to have the range of the original ones. ``lanes``: rays per work-item, 16 on CPUs.
     """
+    if resolved.channels:
+        hashes = sorted({kernel_hash(scene, lanes) for scene in shown_channels(resolved)})
+        if len(hashes) == 1:
+            return hashes[0]
+        return hashlib.sha256(" ".join(hashes).encode()).hexdigest()[:16]
     resolved = _as_decoded(resolved)
     digest = hashlib.sha256()
     programs = scene_programs(resolved, lanes)

@@ -14,6 +14,7 @@ import socket
 import zlib
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 _NAME = re.compile(r"\.([0-9a-f]{8})-(\d+)-(\d+)-[0-9a-f]{12}\.part(\..*)?")
@@ -41,12 +42,19 @@ class Process:
 
 
 def this_process() -> Process:
-    return Process(socket.gethostname(), _boot(), os.getpid(), _begun(os.getpid()))
+    return _process(os.getpid())
+
+
+@lru_cache(maxsize=1)
+def _process(pid: int) -> Process:
+    """This process, whose number is ``pid``; a fork has another one."""
+    return Process(socket.gethostname(), _boot(), pid, _begun(pid))
 
 
 def is_here(process: Process) -> bool:
     """Whether it is, or was, a process of this machine since its last start."""
-    return bool(process.boot) and (process.host, process.boot) == (socket.gethostname(), _boot())
+    me = this_process()
+    return bool(process.boot) and (process.host, process.boot) == (me.host, me.boot)
 
 
 def temporary_name(ending: str = "") -> str:

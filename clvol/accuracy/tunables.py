@@ -216,6 +216,7 @@ TUNABLES: dict[str, Tunable] = {
 NOT_TUNABLE: dict[str, str] = {
     "integration.prefilter": "another picture: the field then passes through the voxels",
     "integration.compositing": "another picture: how the values along a ray become a pixel",
+    "integration.blend": "another picture: how those of channels are put together",
     "integration.attenuation": "another picture: how much samples behind others contribute",
     "integration.table_size": "has no effect any more",
     "integration.tolerance": "belongs to the method 'reference', against which errors are measured",

@@ -16,13 +16,15 @@ from clvol.batch.job import Picture
 from clvol.batch.made import is_made_from
 from clvol.batch.results import ResultsReader, append, digest_of
 from clvol.batch.shared import unmade
+from clvol.batch.write_behind import WriteBehind
 from clvol.errors import ClvolError, ClvolWarning, DeviceError, SceneError
 from clvol.image import atomic_paths, check_output, save_picture
 from clvol.integrators.base import Progress
 from clvol.render import Renderer
 from clvol.render.frame import Frame
 from clvol.render.made_from import MadeFrom
-from clvol.scene import Scene, load_scene
+from clvol.scene import Scene
+from clvol.scene.family import SceneFamily
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Volume
 from clvol.volume.series import VolumeSeries
@@ -86,7 +88,9 @@ class JobRun:
         self._pictures, self._options, self._emit, self._progress = list(pictures), options, emit, progress
         self._begin, self._raises_device_errors = begin, False
         self._results, self._so_far = ResultsReader(options.results), _Known()
+        self._family = SceneFamily()
         self._last: _Loaded | None = None
+        self._checked: set[str] = set()  # folders that can be written to
         # With the volume, or the series, that its scenes have in common.
         self._renderer: tuple[Volume | VolumeSeries, Renderer] | None = None
         self.outcome = Outcome()
@@ -111,9 +115,9 @@ class JobRun:
         return results
 
     def _all_of(self, pictures: Sequence[Picture], waiting: Callable[[int], None] | None) -> None:
-        with Claims() as claims:
-            for picture in unmade(pictures, claims, lambda p: p.files, self._is_done, waiting):
-                self._one(picture, claims)
+        with Claims() as claims, WriteBehind() as behind:
+            for picture in unmade(pictures, claims, lambda p: p.files, self._is_done, waiting, releases=False):
+                self._one(picture, claims, behind)
 
     def close(self) -> None:
         if self._renderer is not None:
@@ -127,8 +131,9 @@ class JobRun:
 
     # ---- one picture
 
-    def _one(self, picture: Picture, claims: Claims) -> None:
+    def _one(self, picture: Picture, claims: Claims, behind: WriteBehind) -> None:
         if self._options.run and picture.files in self._known().failed:
+            claims.release(picture.files[0])
             return
         if self._begin is not None:
             self._begin(picture)
@@ -138,34 +143,47 @@ class JobRun:
             report = partial(self._report, picture.number, name)
             report(0, 1)
         result = picture.as_result() | ({"run": self._options.run} if self._options.run else {})
+        frame: Frame | None = None
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", ClvolWarning)
             try:
                 frame = self._rendered(picture, report)
-                if not claims.owns(picture.files[0]):
-                    return  # this process was stopped for so long that another one has taken over
-                self._write(frame, picture)
-                self.outcome.counts["rendered"] += 1
-                result |= {"status": "rendered", **_told_of(frame), "total_seconds": time.perf_counter() - start}
                 if self._options.max_error is not None:
                     result["request"] = self._request(self._loaded(picture))
             except (ClvolError, MemoryError) as error:
                 if self._raises_device_errors and isinstance(error, DeviceError):
                     raise
-                self._fail(picture, error, result)
+                result |= _failure(picture, error)
+                self.close()  # a device that has failed stays out of a Renderer
         told = [str(each.message) for each in caught if issubclass(each.category, ClvolWarning)]
-        if told := list(dict.fromkeys([*result.get("warnings", []), *told])):
+        if told := list(dict.fromkeys(told)):
             result["warnings"] = told
-        append(self._options.results, result)
-        self._emit(result)
+        behind.add(partial(self._finish, picture, claims, frame, result, start))
+        if self._last is not None and self._last.resolved.steps is not None:
+            behind.finish()  # few steps are in memory at a time
 
-    def _fail(self, picture: Picture, error: ClvolError | MemoryError, result: dict[str, Any]) -> None:
-        if isinstance(error, MemoryError):
-            error = SceneError(picture.source, "no memory for it", "a smaller volume, or a machine with more memory")
-        self.outcome.counts["failed"] += 1
-        self.outcome.status = max(self.outcome.status, error.exit_status)
-        result |= {"status": "failed", "message": str(error), "exit_status": error.exit_status}
-        self.close()  # a device that has failed stays out of a Renderer
+    def _finish(
+        self, picture: Picture, claims: Claims, frame: Frame | None, result: dict[str, Any], start: float
+    ) -> None:
+        """Writes a picture, then its result, while the next one is rendered. ``frame`` None: it has failed."""
+        try:
+            if frame is not None:
+                if not claims.owns(picture.files[0]):
+                    return  # this process was stopped for so long that another one has taken over
+                try:
+                    self._write(frame, picture)
+                    told = _told_of(frame)
+                    warned = list(dict.fromkeys([*told.pop("warnings", []), *result.pop("warnings", [])]))
+                    result |= {"status": "rendered", **told, "total_seconds": time.perf_counter() - start}
+                    result |= {"warnings": warned} if warned else {}
+                except (ClvolError, MemoryError) as error:
+                    result |= _failure(picture, error)
+            self.outcome.counts[result["status"]] += 1
+            self.outcome.status = max(self.outcome.status, result.get("exit_status", 0))
+            append(self._options.results, result)
+            self._emit(result)
+        finally:
+            claims.release(picture.files[0])
 
     def _report(self, number: int, name: str, done: int, total: int) -> None:
         assert self._progress is not None
@@ -174,7 +192,9 @@ class JobRun:
 
     def _rendered(self, picture: Picture, report: Progress | None) -> Frame:
         for path in picture.files:
-            check_output(path)
+            if (folder := os.path.dirname(path)) not in self._checked:
+                check_output(path)
+                self._checked.add(folder)
         loaded, options = self._loaded(picture), self._options
         depth = any(path.lower().endswith(".exr") for path in picture.files)
         if options.max_error is not None:
@@ -187,7 +207,7 @@ class JobRun:
     def _renderer_of(self, loaded: _Loaded) -> Renderer:
         """The Renderer that is open, if the scene's volume is its volume."""
         options = self._options
-        volume = loaded.scene.load_series(options.memory_cap) or loaded.scene.load_volume(options.memory_cap)
+        volume = loaded.scene.load_series(options.memory_cap) or loaded.scene.load_shown(options.memory_cap)
         if self._renderer is not None and self._renderer[0] is volume:
             self._renderer[1].set_scene(loaded.resolved)
             return self._renderer[1]
@@ -199,14 +219,12 @@ class JobRun:
     def _loaded(self, picture: Picture) -> _Loaded:
         if self._last is not None and self._last.picture is picture:
             return self._last
-        scene = load_scene(picture.source, settings=picture.settings)
+        scene = self._family.load(picture.source, settings=picture.settings)
         if scene.animation.frames != 1:
             where, what = f"{picture.source}: animation.frames", f"got {scene.animation.frames}"
             raise SceneError(where, what, "1 in a job; let animation.time vary, or use 'clvol render'")
-        if self._last is not None:
-            scene.share_volumes(self._last.scene)
         scene.load(self._options.memory_cap)
-        resolved = scene.resolve(self._options.memory_cap)
+        resolved = self._family.resolve(scene, self._options.memory_cap)
         self._last = _Loaded(picture, scene, resolved, MadeFrom(resolved))
         return self._last
 
@@ -239,6 +257,13 @@ class JobRun:
             elif status == "failed" and result.get("run") == self._options.run:
                 self._so_far.failed.add(files)
         return self._so_far
+
+
+def _failure(picture: Picture, error: ClvolError | MemoryError) -> dict[str, Any]:
+    """What the result of a picture that has failed says of it."""
+    if isinstance(error, MemoryError):
+        error = SceneError(picture.source, "no memory for it", "a smaller volume, or a machine with more memory")
+    return {"status": "failed", "message": str(error), "exit_status": error.exit_status}
 
 
 def _told_of(frame: Frame) -> dict[str, Any]:

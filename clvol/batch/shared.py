@@ -21,10 +21,12 @@ def unmade(
     files: Callable[[T], Sequence[str]],
     is_made: Callable[[T], bool],
     waiting: Callable[[int], None] | None = None,
+    releases: bool = True,
 ) -> Iterator[T]:
-    """Yields the items that this process is to make, each claimed until the next one is requested; ends when all
-    ``items`` are made, whoever made them. Those that others are making are waited for, and made here if the others end
-    before they have: ``waiting(number of them)`` is called meanwhile.
+    """Yields the items that this process is to make, each claimed until the next one is requested, or, without
+    ``releases``, until the caller releases the claim; ends when all ``items`` are made, whoever made them. Those that
+    others are making are waited for, and made here if the others end before they have: ``waiting(number of them)`` is
+    called meanwhile.
 
     ``files(item)``: what is made of it; the first one is claimed. ``is_made(item)`` reads them, which takes a while, so
     it is not called again unless they have changed.
@@ -46,11 +48,16 @@ def unmade(
         for number in left:
             if made(number):
                 continue
-            with claims.of(files(items[number])[0]) as claimed:
-                if not claimed:
-                    busy.append(number)
-                elif not made(number):
+            first, is_left = files(items[number])[0], False
+            if not claims.claim(first):
+                busy.append(number)
+                continue
+            try:
+                if is_left := not made(number):
                     yield items[number]
+            finally:
+                if releases or not is_left:
+                    claims.release(first)
         if len(busy) == len(left):
             if waiting is not None:
                 waiting(len(left))

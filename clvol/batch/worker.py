@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import threading
 from typing import Any
 
 from clvol.batch.job import load_job, pictures_of
@@ -24,9 +25,12 @@ def main(request: str) -> None:
     output = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # drivers may write on standard output
 
+    lock = threading.Lock()  # results come from the thread that writes pictures
+
     def tell(message: dict[str, Any]) -> None:
-        output.write(json.dumps(message) + "\n")
-        output.flush()
+        with lock:
+            output.write(json.dumps(message) + "\n")
+            output.flush()
 
     skipped = set(asked["skipped"])
     pictures = [p for p in pictures_of(load_job(asked["path"]), asked["path"]) if p.number not in skipped]

@@ -28,7 +28,7 @@ _WORKER = Path(__file__).with_name("worker.py")
 
 
 class _Worker:
-    """A process. ``picture``: the number of the one that it renders."""
+    """A process. ``begun``: the numbers of pictures whose results it has not told, the one that it renders last."""
 
     def __init__(self, arguments: dict[str, Any], cores: Sequence[int], threads: int) -> None:
         watched, self._lifeline = os.pipe()
@@ -46,8 +46,13 @@ class _Worker:
         finally:
             os.close(watched)
         self.cores = cores
-        self.picture: int | None = None
+        self.begun: list[int] = []
         self._rest = b""
+
+    @property
+    def picture(self) -> int | None:
+        """The number of the one that it renders."""
+        return self.begun[-1] if self.begun else None
 
     def messages(self) -> list[dict[str, Any]] | None:
         """What it has told since the last call; None at its end."""
@@ -121,10 +126,10 @@ class WorkerPool:
             return
         for message in messages:
             if "begin" in message:
-                worker.picture = message["begin"]
+                worker.begun = [*worker.begun[-1:], message["begin"]]
                 self._report()
             elif "result" in message:
-                worker.picture = None
+                worker.begun = [number for number in worker.begun if number != message["result"]["picture"]]
                 self._take(message["result"])
 
     def _take(self, result: dict[str, Any]) -> None:
@@ -160,7 +165,8 @@ class WorkerPool:
             if self._early_deaths >= MOST_DEATHS:
                 raise RenderError("workers", f"processes end before they render anything ({how})")
         else:
-            self._clear(self._pictures[worker.picture])
+            for number in worker.begun:
+                self._clear(self._pictures[number])
             self._deaths[worker.picture] += 1
             if self._deaths[worker.picture] == MOST_DEATHS:
                 self._give_up(worker.picture, how)

@@ -12,13 +12,13 @@ from click.exceptions import Exit
 
 from clvol.batch.claims import Claims
 from clvol.batch.shared import unmade
+from clvol.batch.write_behind import WriteBehind
 from clvol.cli import say_error
 from clvol.cli.console import note, preparing, say_path, to_json, working
 from clvol.cli.outputs import check_frames
 from clvol.cli.standard_output import STANDARD, is_standard, kept_clean
 from clvol.cli.verbose import log_scene
 from clvol.cli.video_parts import VideoParts
-from clvol.cli.write_behind import WriteBehind
 from clvol.errors import UsageError, VolumeError
 
 if TYPE_CHECKING:
@@ -113,21 +113,26 @@ def render_animation(
                     raise
                 failed.append(index)
                 say_error(f"frame {index}: {error}")
+                if claims is not None:
+                    claims.release(film.names(index)[0])
                 continue
-            if claims is not None and not claims.owns(film.names(index)[0]):
-                continue  # this process was stopped for so long that another one has taken over
 
             def write(frame: Frame = frame, index: int = index) -> None:
+                nonlocal rendered
+                if claims is not None and not claims.owns(film.names(index)[0]):
+                    return  # this process was stopped for so long that another one has taken over
                 begun = time.perf_counter()
                 written.extend(film.write(frame, index)[: len(stills)])
                 for writer in () if kept is not None else writers:
                     writer.add(frame)
                 totals.add(frame.stats, time.perf_counter() - begun)
+                rendered += 1
+                if claims is not None:
+                    claims.release(film.names(index)[0])
 
             behind.add(write)
-            if claims is not None or resolved.steps is not None:
-                behind.finish()  # a claim lasts until its picture is there; few steps are in memory at a time
-            rendered += 1
+            if resolved.steps is not None:
+                behind.finish()  # few steps are in memory at a time
         behind.finish()
         if progress is not None:
             progress(None, None, "writing")
@@ -206,7 +211,7 @@ def _shared(
         if progress is not None:
             progress(None, None, f"waiting for {count} frames that other processes render")
 
-    yield from unmade(todo, claims, lambda frame: film.names(frame[0]), film.is_there, waiting)
+    yield from unmade(todo, claims, lambda frame: film.names(frame[0]), film.is_there, waiting, releases=False)
 
 
 def made_from_all(resolved: ResolvedScene) -> dict[str, Any]:

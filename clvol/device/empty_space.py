@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from clvol.device.host_cells import cell_distances, distances_on_host
+from clvol.device.host_cells import cell_distances, distances_on_host, octant_distances, octants_on_host
 from clvol.device.memory import UNPERTURBED, Perturbation
 from clvol.features import FILTER_REACH, overshoot
 from clvol.opencl.arguments import INT4, reads, value, writes
@@ -136,11 +137,27 @@ def _overshot(low: np.ndarray, high: np.ndarray, share: float) -> tuple[np.ndarr
     return low - more, high + more
 
 
-def distance_map(context: DeviceContext, mask: np.ndarray) -> DeviceArray:
+_last_maps: WeakKeyDictionary[DeviceContext, tuple[tuple[Any, ...], DeviceArray]] = WeakKeyDictionary()
+
+
+def distance_map(context: DeviceContext, mask: np.ndarray, octants: bool = False) -> DeviceArray:
     """uint8 [z, y, x] on the device: distance in cells (maximum norm, at most 255) to the nearest
-    cell of ``mask``; 0 inside the mask."""
-    if distances_on_host(context, mask.size):
-        return context.upload(np.append(cell_distances(mask), np.full(4, 255, np.uint8)))
+    cell of ``mask``; 0 inside the mask. ``octants``: eight more follow, in each of which only cells ahead count, in no
+    coordinate behind: to larger x in those whose number has bit 0, y bit 1, z bit 2."""
+    if octants or distances_on_host(context, mask.size):
+        key = octants, mask.shape, mask.tobytes()
+        known = _last_maps.get(context)
+        if known is None or known[0] != key:  # functions that show the same values have the same map
+            known = _last_maps[context] = key, _with_octants(context, mask) if octants else _on_host(context, mask)
+        return known[1]
+    return _by_kernel(context, mask)
+
+
+def _on_host(context: DeviceContext, mask: np.ndarray) -> DeviceArray:
+    return context.upload(np.append(cell_distances(mask), np.full(4, 255, np.uint8)))
+
+
+def _by_kernel(context: DeviceContext, mask: np.ndarray) -> DeviceArray:
     start = np.where(mask, 0, 255).astype(np.uint8)
     # A 32-bit gather of the last byte must stay inside the buffer.
     padded = np.concatenate([start.ravel(), np.full(4, 255, np.uint8)])
@@ -168,3 +185,22 @@ def distance_map(context: DeviceContext, mask: np.ndarray) -> DeviceArray:
         distances = target
     context.finish()
     return distances
+
+
+def _with_octants(context: DeviceContext, mask: np.ndarray) -> DeviceArray:
+    """``distance_map`` with the maps of the octants."""
+    beyond = np.full(4, 255, np.uint8)
+    if octants_on_host(context, mask.size):
+        return context.upload(np.concatenate([cell_distances(mask).ravel(), octant_distances(mask).ravel(), beyond]))
+    maps = context.upload(np.append(np.empty(9 * mask.size, np.uint8), beyond), writable=True)
+    own = _on_host if distances_on_host(context, mask.size) else _by_kernel
+    context.copy(own(context, mask), 0, maps, 0, mask.size)
+    kernel = context.kernel(
+        "empty_space.cl",
+        "octant_distances",
+        (writes("maps", np.uint8, 9, "cells.x", "cells.y", "cells.z"), value("cells", INT4)),
+        {"VOXEL_BITS": 8, "VOXEL_SIGNED": 0},
+    )
+    kernel(context.queue, (8,), None, maps=maps, cells=(*mask.shape[::-1], 0))
+    context.finish()
+    return maps

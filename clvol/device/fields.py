@@ -12,6 +12,7 @@ import numpy as np
 from clvol.device.empty_space import visible_mask
 from clvol.device.memory import ValueMap, value_map
 from clvol.device.transfer_lookup import device_function
+from clvol.device.voxel_colors import packed_colors
 from clvol.errors import VolumeError
 from clvol.features.vocabulary import FIELD_ROLES
 from clvol.transfer import TransferFunction
@@ -96,7 +97,7 @@ class _Part:
 
     def __init__(self, field: ResolvedField, volume: Volume) -> None:
         self.field = field
-        self.values = ValueMap() if field.role == "label" else value_map(field.volume)
+        self.values = ValueMap() if field.role in ("label", "color") else value_map(field.volume)
         self.voxels = _voxels(field, self.values)
         self.matrix, self.shift = between_lattices(volume.grid, field.volume.grid)
 
@@ -107,6 +108,8 @@ class _Part:
         if field.role == "label":
             table = np.column_stack([_present(field.colors), _present(field.factors)])
             row["table"] = place(np.vstack([[0.0, 0.0, 0.0, 1.0], table]))
+        elif field.role == "color":
+            row["table"] = 0
         elif field.role == "mask":
             row["threshold"] = float(self.values(_present(field.threshold)))
             row["side"] = 1.0 if field.keep == "above" else -1.0
@@ -163,6 +166,8 @@ def _voxels(field: ResolvedField, values: ValueMap) -> np.ndarray:
     data = field.volume.data
     if field.role == "label":
         voxels = _label_codes(data, _present(field.labels))
+    elif field.role == "color":
+        voxels = packed_colors(_present(field.colors_of_voxels)).view(np.float32)
     else:
         voxels = (data if values == ValueMap() else values(data)).astype(np.float32)
         if data.dtype.kind == "f":

@@ -10,7 +10,7 @@ import numpy as np
 from clvol.opencl.context import DeviceContext
 from clvol.volume.voxel_layout import cell_count
 
-_MOST_VOXELS, _MOST_CELLS = 2**24, 2**18
+_MOST_VOXELS, _MOST_CELLS, _MOST_CELLS_OF_OCTANTS = 2**24, 2**18, 2**14
 
 
 def done_on_host(context: DeviceContext, voxels: int) -> bool:
@@ -21,6 +21,11 @@ def done_on_host(context: DeviceContext, voxels: int) -> bool:
 def distances_on_host(context: DeviceContext, cells: int) -> bool:
     """The same, of a map of so many cells."""
     return context.is_cpu and cells <= _MOST_CELLS
+
+
+def octants_on_host(context: DeviceContext, cells: int) -> bool:
+    """The same, of a map with those of the octants."""
+    return context.is_cpu and cells <= _MOST_CELLS_OF_OCTANTS
 
 
 def pair_rows(data: np.ndarray, pairs: np.ndarray) -> None:
@@ -81,3 +86,28 @@ def cell_distances(mask: np.ndarray) -> np.ndarray:
             reached = grown
         np.copyto(distances, distance, where=reached & ~before)
     return distances
+
+
+def octant_distances(mask: np.ndarray) -> np.ndarray:
+    """uint8 [8, z, y, x]: distances in cells (maximum norm, at most 255) to the nearest cell of ``mask`` ahead: of the
+    same or larger x in maps whose number has bit 0, y bit 1, z bit 2, and of the same or smaller otherwise."""
+    start = np.where(mask, 0, 255).astype(np.uint8)
+    found = np.empty((2, 2, 2, *mask.shape), np.uint8)
+    for x in range(2):
+        along_x = _distances_ahead(start, 2, bool(x))
+        for y in range(2):
+            along_y = _distances_ahead(along_x, 1, bool(y))
+            for z in range(2):
+                found[z, y, x] = _distances_ahead(along_y, 0, bool(z))
+    return found.reshape(8, *mask.shape)
+
+
+def _distances_ahead(distances: np.ndarray, axis: int, larger: bool) -> np.ndarray:
+    """min over k >= 0 of max(k, distances[place + k]) along ``axis``, or [place - k] if not ``larger``."""
+    found = distances.copy()
+    ahead, behind = [slice(None)] * 3, [slice(None)] * 3
+    for k in range(1, min(distances.shape[axis], 255)):
+        ahead[axis], behind[axis] = slice(k, None), slice(None, -k)
+        to, source = (behind, ahead) if larger else (ahead, behind)
+        np.minimum(found[tuple(to)], np.maximum(distances[tuple(source)], np.uint8(k)), out=found[tuple(to)])
+    return found

@@ -5,10 +5,12 @@ Both come from the same passes, so they agree. An analysis is cached for the lif
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, replace
-from weakref import WeakKeyDictionary
+from weakref import ReferenceType, WeakKeyDictionary, ref
 
 from clvol.features import (
+    channels,
     clipping,
     depth_cue,
     emission,
@@ -24,11 +26,13 @@ from clvol.features import (
 )
 from clvol.features.effect import Effect
 from clvol.features.findings import Findings
+from clvol.scene.channel_scenes import channel_scenes
 from clvol.scene.resolve import ResolvedScene
 
 NAMES = (
     "emission-absorption",
     "projection",
+    "channels",
     "nearest filter",
     "cubic filter",
     "catmull-rom filter",
@@ -51,6 +55,7 @@ NAMES = (
     "label field",
     "density field",
     "mask field",
+    "color field",
     "noise",
     "colour cycling",
     "clipping",
@@ -72,22 +77,56 @@ class Analysis:
 
 
 _known: WeakKeyDictionary = WeakKeyDictionary()  # ResolvedScene: Analysis
+_recent: deque[ReferenceType[ResolvedScene]] = deque(maxlen=4)  # those that were analysed last
+# Parts of a scene that no pass looks at, apart from a depth cue at the camera.
+_VIEW = ("camera", "source", "display", "overlay")
 
 
 def analysis_of(scene: ResolvedScene) -> Analysis:
+    if scene not in _known and scene.channels:
+        found_in = [analysis_of(each).effects for each in channel_scenes(scene)]
+        _known[scene] = Analysis(channels.effects_of(found_in, scene), None, None)
     if scene not in _known:
-        found = Findings(scene)
-        for part in _PASSES:
-            part.analyse(found)
-        effects = tuple(found.effects[name] for name in NAMES)
-        changed = _differs(found.scene, scene)
-        small = found.scene if changed else None
-        later = small
-        if found.cycles_later:
-            later = replace(found.scene, animation=scene.animation)
-            later = later if _differs(later, scene) else None
-        _known[scene] = Analysis(effects, small, later)
+        _known[scene] = _of_another_view(scene) or _analysed(scene)
+        _recent.append(ref(scene))
     return _known[scene]
+
+
+def differs_in_view(one: ResolvedScene, other: ResolvedScene) -> bool:
+    """Whether the scenes differ in nothing but the camera, their texts, and how pictures are displayed, so that they
+    have the same effects. What they have in common must be the same objects."""
+    parts = vars(other)
+    same = (part is parts[name] for name, part in vars(one).items() if name not in _VIEW)
+    return one.depth_cue is None and all(same)
+
+
+def _of_another_view(scene: ResolvedScene) -> Analysis | None:
+    """The analysis of a scene that differs in its view alone, for ``scene``; None if none is known."""
+    for known in _recent:
+        other = known()
+        if other is not None and other in _known and differs_in_view(scene, other):
+            found: Analysis = _known[other]
+            view = {name: getattr(scene, name) for name in _VIEW}
+            small = None if found.reduced is None else replace(found.reduced, **view)
+            later = small if found.for_frames is found.reduced else found.for_frames
+            later = later if later is small or later is None else replace(later, **view)
+            return Analysis(found.effects, small, later)
+    return None
+
+
+def _analysed(scene: ResolvedScene) -> Analysis:
+    found = Findings(scene)
+    for part in _PASSES:
+        part.analyse(found)
+    found.note(channels.effect_of(scene))
+    effects = tuple(found.effects[name] for name in NAMES)
+    changed = _differs(found.scene, scene)
+    small = found.scene if changed else None
+    later = small
+    if found.cycles_later:
+        later = replace(found.scene, animation=scene.animation)
+        later = later if _differs(later, scene) else None
+    return Analysis(effects, small, later)
 
 
 def effects(resolved: ResolvedScene) -> list[Effect]:

@@ -1,4 +1,4 @@
-"""Label, density and mask fields."""
+"""Label, density, mask and colour fields."""
 
 from __future__ import annotations
 
@@ -19,13 +19,14 @@ _DOES = {
     "label": "with labels inside the volume",
     "density": "with opacity of its own",
     "mask": "that may cut the volume",
+    "color": "of colours of voxels",
 }
 _found: WeakKeyDictionary = WeakKeyDictionary()  # volume: {labels: whether any of them occurs}
 
 
 def analyse(found: Findings) -> None:
     kept: list[ResolvedField] = []
-    reasons: dict[str, list[str]] = {"label": [], "density": [], "mask": []}
+    reasons: dict[str, list[str]] = {"label": [], "density": [], "mask": [], "color": []}
     for field in found.scene.fields:
         idle = _idle(field, found)
         if idle is None:
@@ -53,6 +54,8 @@ def _idle(field: ResolvedField, found: Findings) -> str | None:
         return f"{found.projection} shows values of the volume alone"
     elif field.role == "label":
         reason = _no_label(field, found)
+    elif field.role == "color":
+        reason = _no_color(field, found)
     else:
         reason = _no_density(field, found.scene)
     return NOTHING_VISIBLE if reason is None and found.blank else reason
@@ -64,6 +67,12 @@ def _no_label(field: ResolvedField, found: Findings) -> str | None:
     if not _occurs(field.volume, field.labels):
         return "none of the labels occurs in the field"
     return None if found.emits else "the transfer function shows nothing that has a label"
+
+
+def _no_color(field: ResolvedField, found: Findings) -> str | None:
+    if grids_apart(found.scene.volume.grid, field.volume.grid):
+        return "the field does not meet the volume"
+    return None if found.emits else "the transfer function shows nothing that has a colour"
 
 
 def _no_density(field: ResolvedField, scene: ResolvedScene) -> str | None:

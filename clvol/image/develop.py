@@ -47,10 +47,10 @@ def developed(
     for row in range(0, rgba.shape[0], _ROWS):
         rows = slice(row, row + _ROWS)
         pixels = rgba[rows].reshape(-1, 4)
-        drawn = _drawn(pixels)
+        drawn = np.flatnonzero(_drawn(pixels))
         # Pixels without anything are all alike: the last one of ``part`` stands for them.
-        part = np.zeros((np.count_nonzero(drawn) + 1, 4))
-        part[:-1] = pixels[drawn]
+        part = np.zeros((len(drawn) + 1, 4))
+        part[:-1] = pixels.take(drawn, axis=0)
         with np.errstate(invalid="ignore"):
             may_be_nan = np.isnan(part.sum())  # also where infinities cancel
         if may_be_nan:
@@ -58,7 +58,7 @@ def developed(
         if how is not None:
             _map_tones(part, how)
         if transparent:
-            _put(shown[rows], drawn, _straight(part, largest))
+            _put(shown[rows], drawn, _straight(part, largest).T)
             continue
         see_through = np.clip(1.0 - part[:, 3], 0.0, 1.0)
         light = behind[:, None] * see_through  # a channel at a time: numpy is slow with short last axes
@@ -66,7 +66,7 @@ def developed(
             light[channel] += part[:, channel]
         np.clip(light, 0.0, 1.0, out=light)
         levels = srgb_levels(light) if bits == 8 else np.floor(largest * linear_to_srgb(light) + 0.5)
-        _put(shown[rows], drawn, levels.T)
+        _put(shown[rows], drawn, levels)
     return shown
 
 
@@ -77,11 +77,13 @@ def _drawn(pixels: np.ndarray) -> np.ndarray:
 
 
 def _put(shown: np.ndarray, drawn: np.ndarray, levels: np.ndarray) -> None:
-    """Writes ``levels`` [n + 1, channels] to ``shown`` [rows, columns, channels]: the last to all pixels that are not
-    ``drawn`` [rows columns], the others to those that are, in order."""
+    """Writes ``levels`` [channels, n + 1] to ``shown`` [rows, columns, channels]: the last to all pixels but those with
+    the numbers ``drawn`` [n], which get the others in order."""
     flat = shown.reshape(-1, shown.shape[2])  # a view, since rows are contiguous
-    flat[:] = levels[-1]
-    flat[drawn] = levels[:-1]
+    for channel, level in enumerate(levels):
+        plane = np.full(len(flat), level[-1], shown.dtype)
+        plane[drawn] = level[:-1]
+        flat[:, channel] = plane
 
 
 def display(rgba: np.ndarray, background: Any) -> np.ndarray:

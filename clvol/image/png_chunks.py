@@ -1,7 +1,8 @@
-"""PNG files chunk by chunk (ISO/IEC 15948), with zlib alone.
+"""PNG files chunk by chunk (ISO/IEC 15948).
 
-Pillow takes longer to be imported than a small picture to be rendered, and four times as long to encode it: of 7 ms for
-256 x 256 pixels 5 are gained by one filter for all rows and zlib's level 4, for files that are 7 % larger.
+Pillow takes longer to be imported than a small picture to be rendered, and ten times as long to encode it: of 7 ms for
+256 x 256 pixels 6.3 are gained by one filter for all rows and libdeflate's level 1 (imagecodecs), whose files are as
+large as those of zlib's level 4, which takes 1.8 ms. They are 7 % larger than Pillow's.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_LEVEL = 4
+_LEVEL = 1
 _UP = 2  # the filter: each byte as its difference from the one above
 _COLOR_TYPES = {3: 2, 4: 6}  # by the number of channels
 _PIECE = 1 << 20  # bytes of a chunk of pixels
@@ -27,7 +28,7 @@ def encoded(shown: np.ndarray, chunks: Sequence[tuple[bytes, bytes]]) -> Iterato
     yield _chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, _COLOR_TYPES[channels], 0, 0, 0))
     for name, content in chunks:
         yield _chunk(name, content)
-    pixels = zlib.compress(_filtered(shown).data, _LEVEL)
+    pixels = _compressed(_filtered(shown))
     for at in range(0, len(pixels), _PIECE):
         yield _chunk(b"IDAT", pixels[at : at + _PIECE])
     yield _chunk(b"IEND", b"")
@@ -41,6 +42,12 @@ def text(keyword: str, value: str) -> tuple[bytes, bytes]:
 def compressed_text(keyword: str, value: str) -> tuple[bytes, bytes]:
     """A chunk with any text, in UTF-8, compressed."""
     return b"iTXt", keyword.encode("latin-1") + b"\0\1\0\0\0" + zlib.compress(value.encode())
+
+
+def _compressed(rows: np.ndarray) -> bytes:
+    from imagecodecs import deflate_encode
+
+    return bytes(deflate_encode(rows, _LEVEL, raw=False))  # type: ignore[arg-type]  # it takes any buffer
 
 
 def _chunk(name: bytes, content: bytes) -> bytes:

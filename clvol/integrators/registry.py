@@ -10,7 +10,9 @@ from clvol.errors import SceneError
 from clvol.features.compression import check_compression
 from clvol.features.refuse import check_effects
 from clvol.integrators.base import Integrator
+from clvol.integrators.channels import check_channels
 from clvol.integrators.decoding import check_decoding
+from clvol.scene.channel_scenes import channel_scenes
 from clvol.scene.resolve import ResolvedScene
 
 if TYPE_CHECKING:
@@ -45,6 +47,12 @@ def integrator_of(scene: Scene | ResolvedScene) -> Integrator:
 
 def check_scene(resolved: ResolvedScene) -> None:
     """SceneError for what the scene calls for and no kernel renders: better no picture than a wrong one."""
+    check_channels(resolved)
+    for scene in channel_scenes(resolved):
+        _check_scene(scene)
+
+
+def _check_scene(resolved: ResolvedScene) -> None:
     integrator = integrator_of(resolved)
     check_effects(resolved)
     check_compression(resolved)

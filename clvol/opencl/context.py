@@ -152,7 +152,7 @@ class DeviceContext:
         _log.info("rendering on %s: %s (%s)", self.name, device.name.strip(), device.platform.name.strip())
         self._outputs: list[tuple[DeviceArray, int]] = []
         self._lent: set[int] = set()  # ids of outputs that have not been taken yet
-        self._written: WeakKeyDictionary[DeviceArray, bytes] = WeakKeyDictionary()  # by write_once
+        self._written: WeakKeyDictionary[DeviceArray, tuple[bytes, Any]] = WeakKeyDictionary()  # by write_once
         self._programs: dict[tuple, Any] = {}
         self._kernels: dict[tuple, Kernel] = {}
         self.warmed: set[Hashable] = set()  # what has been launched once, by keys of those who launch it
@@ -327,10 +327,15 @@ class DeviceContext:
     def write_once(self, array: DeviceArray, values: np.ndarray) -> None:
         """As ``write``, of all of an ``array`` that nothing else writes. Nothing is done if it has these values: a
         launch need not wait for others that use them."""
+        check_fork()
         contents = values.tobytes()
-        if self._written.get(array) != contents:
-            self.write(array, values)
-            self._written[array] = contents
+        if self._written.get(array, (None,))[0] != contents:
+            # Nothing waits for it: the queue is in order. The event keeps what is copied.
+            self._written[array] = contents, self._enqueue_write(array, values.copy())
+
+    def _enqueue_write(self, array: DeviceArray, values: np.ndarray) -> Any:
+        with failures_of(self.name):
+            return cl.enqueue_copy(self.queue, array.buffer, values, is_blocking=False)
 
     def copy(
         self, source: DeviceArray, first: int, target: DeviceArray, to: int, count: int

@@ -15,7 +15,7 @@ import numpy as np
 from clvol.store.codecs.coded_blocks import MOST_STAGES
 
 # Lengths of arrays in structs, as in cl/features.h: how many of each a scene may have.
-MOST_FIELDS, MOST_NOISE_TERMS, MOST_HALVES = 3, 4, 16
+MOST_FIELDS, MOST_NOISE_TERMS, MOST_HALVES = 8, 4, 16
 
 _TYPES = {
     "float": np.dtype("f4"), "float2": np.dtype(("f4", 2)), "float4": np.dtype(("f4", 4)),
@@ -86,6 +86,7 @@ def view_dtype(voxel_bits: int) -> np.dtype:
         ("float", "first_value nodes_per_value last_node warp_bins"),
         ("float", "gate_low gate_high step_units opacity_limit voxel_gain zero"),
         ("int", "cell_shift cell_parts row_stride slice_stride piece_columns piece_count function_floats"),
+        ("int", "octant_cells"),
     )
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from clvol.errors import ClvolError, ClvolWarning, VolumeError
+from clvol.errors import ClvolError, ClvolWarning, SeveralChannels, VolumeError
 from clvol.readers.options import ReadOptions, SeveralTimes
 from clvol.readers.quiet import quiet
 from clvol.readers.recognise import ENDINGS, ending_of, first_line, format_of, format_of_url, is_volume_path
@@ -124,6 +124,8 @@ def read_volume(
             if spacing is not None:
                 grid = volume.grid
                 volume.grid = Grid(grid.shape, tuple(spacing), grid.origin, grid.direction)
+    except SeveralChannels:
+        raise
     except VolumeError as error:
         own = error.where in (where, str(file), "volume")
         what = error.what if own else f"{error.where}: {error.what}"

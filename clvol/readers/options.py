@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from clvol.errors import VolumeError
+from clvol.errors import SeveralChannels, VolumeError
 from clvol.volume.array_axes import Axis
 
 Key = Literal["channel", "time", "series"]
@@ -25,6 +25,15 @@ class SeveralTimes(Exception):
     def __init__(self, names: Sequence[str | None], numbers: Sequence[int]) -> None:
         super().__init__(f"{len(names)} times")
         self.names, self.numbers = list(names), list(numbers)
+
+
+@dataclass(frozen=True)
+class Displayed:
+    """How a file says that a channel is displayed: its sRGB ``color`` (three numbers from 0 to 1), and the ``range`` of
+    values from black to the full colour; None where it does not say so."""
+
+    color: tuple[float, float, float] | None = None
+    range: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -63,12 +72,14 @@ class ReadOptions:
         *,
         numbers: Sequence[int] | None = None,
         shown: Sequence[str] | None = None,
+        displayed: Sequence[Displayed] = (),
     ) -> int:
         """The index of the channel, time or series that the caller selects.
 
         ``names`` has one entry per choice, None for a choice without a name. ``numbers`` are the numbers by which
         choices can be selected, by default 0, 1, 2...; ``shown`` describes each choice in error messages, by default
-        its name. VolumeError, which lists the choices, unless exactly one is selected; a single choice need not be
+        its name; ``displayed`` is how the file says that each is displayed. VolumeError, which lists the choices,
+        unless exactly one is selected (SeveralChannels, where none of several channels is); a single choice need not be
         selected.
         """
         self.consulted.add(key)
@@ -90,6 +101,13 @@ class ReadOptions:
             what = f"volume.{key} = {_quoted(wanted)}, where there is {_ONE[key]}: {listed}"
         else:
             what = f"volume.{key} = {_quoted(wanted)} among {count} {_SEVERAL[key]}: {listed}"
+        if key == "channel" and wanted is None:
+            several = SeveralChannels(where, what, "volume.channel = one of them")
+            several.numbers, several.names = tuple(numbers), tuple(names)
+            shown_as = [*displayed, *[Displayed()] * (count - len(displayed))]
+            several.colors = tuple(each.color for each in shown_as)
+            several.ranges = tuple(each.range for each in shown_as)
+            raise several
         series = f', or "{ALL_TIMES}" for a volume that changes over time' if key == "time" and count > 1 else ""
         raise VolumeError(where, what, f"volume.{key} = one of them{series}")
 

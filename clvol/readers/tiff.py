@@ -15,7 +15,7 @@ from clvol.readers.options import Key, ReadOptions
 from clvol.readers.quiet import errors_logged
 from clvol.readers.stream_size import LOOKED_AT, j2k_size, jpeg_size
 from clvol.readers.tiff_chain import check_chain
-from clvol.readers.tiff_spacing import ome_channels, ome_image, spacing_of
+from clvol.readers.tiff_spacing import ome_channels, ome_colors, ome_image, spacing_of
 from clvol.volume.memory import check_memory
 from clvol.volume.volume import Volume, check_type
 
@@ -124,7 +124,8 @@ def _chosen(path: Path, file: Any, series: Any, options: ReadOptions) -> np.ndar
         sizes = [shape[k] for k in mine]
         names = _names(file, series, [axes[k] for k in mine], sizes)
         if mine or getattr(options, key) is not None:
-            index = options.choose(key, str(path), names)
+            shown = ome_colors(ome_image(file, series)) if key == "channel" and file.is_ome else []
+            index = options.choose(key, str(path), names, displayed=shown if len(shown) == len(names) else ())
             for k, position in zip(mine, np.unravel_index(index, sizes or [1])):
                 pick[k] = int(position)
     data = _picked(path, series, pick, options)

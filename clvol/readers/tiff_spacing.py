@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
 
-from clvol.readers.options import ReadOptions
+from clvol.readers.options import Displayed, ReadOptions
 from clvol.volume.units import one_unit
 
 _TAG_UNITS = {2: "inch", 3: "cm"}
@@ -45,6 +45,22 @@ def ome_channels(image: Any | None) -> list[str | None]:
     """The names of an OME image's channels."""
     nodes = [] if image is None else [node for node in image.iter() if _named(node, "Channel")]
     return [node.get("Name") or node.get("Fluor") for node in nodes]
+
+
+def ome_colors(image: Any | None) -> list[Displayed]:
+    """The colours of an OME image's channels (Color: red, green, blue and alpha as the bytes of a signed integer);
+    white says nothing, since it is the default."""
+    nodes = [] if image is None else [node for node in image.iter() if _named(node, "Channel")]
+    found = []
+    for node in nodes:
+        try:
+            packed = int(node.get("Color", "-1")) & 0xFFFFFFFF
+        except ValueError:
+            packed = 0xFFFFFFFF
+        red, green, blue = (round((packed >> shift & 0xFF) / 255.0, 4) for shift in (24, 16, 8))
+        plain = red == green == blue
+        found.append(Displayed(None if plain else (red, green, blue)))
+    return found
 
 
 def _xml(text: str | None) -> Any:

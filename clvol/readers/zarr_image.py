@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from clvol.errors import VolumeError
-from clvol.readers.options import Key, ReadOptions, named_axes
+from clvol.readers.options import Displayed, Key, ReadOptions, named_axes
 from clvol.readers.remote import Place
 from clvol.readers.zarr_blosc import check_blosc
 from clvol.store.arrays import open_array, system_words
@@ -216,7 +217,7 @@ def _coordinates(
 
 
 def _picked(
-    array: Any, placed: Placed, channels: list[str | None], where: str, options: ReadOptions
+    array: Any, placed: Placed, channels: list[tuple[str | None, Displayed]], where: str, options: ReadOptions
 ) -> Any:
     """``array`` as [z, y, x] of the selected channel and time."""
     pick: list[Any] = [slice(None) if k in placed.space else 0 for k in range(array.rank)]
@@ -225,8 +226,9 @@ def _picked(
         if axis is None:
             continue
         count = array.shape[axis]
-        names = channels if key == "channel" and len(channels) == count else [None] * count
-        pick[axis] = options.choose(key, where, names)
+        said = channels if key == "channel" and len(channels) == count else [(None, Displayed())] * count
+        names, displayed = zip(*said)
+        pick[axis] = options.choose(key, where, names, displayed=displayed)
     array = array[tuple(pick)]
     left = sorted(k for k in placed.space if k is not None)
     array = array.transpose([left.index(k) for k in placed.space if k is not None])
@@ -259,7 +261,7 @@ def _multiscale(path: Place, attributes: dict, multiscale: dict, options: ReadOp
         place = str(dataset["path"])
         axes = [_axis(axis) for axis in multiscale.get("axes") or ()]
         scale, shift = _transformation([dataset, multiscale])
-        channels = _channel_names(attributes)
+        channels = _channels(attributes)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         raise VolumeError(where, f"damaged multiscales ({error})", "OME-Zarr metadata") from None
     folder = path.joinpath(*(part for part in place.split("/") if part not in ("", ".", "..")))
@@ -294,10 +296,26 @@ def _axis(said: Any) -> Axis:
     return Axis(str(said["name"]), _text(said, "type"), _text(said, "unit"))
 
 
-def _channel_names(attributes: dict) -> list[str | None]:
+def _channels(attributes: dict) -> list[tuple[str | None, Displayed]]:
+    """Label of each channel, and how it is displayed."""
     omero = attributes.get("omero")
     channels = omero.get("channels") if isinstance(omero, dict) else None
-    return [_text(one, "label") for one in channels] if isinstance(channels, list) else []
+    return [(_text(one, "label"), _displayed(one)) for one in channels] if isinstance(channels, list) else []
+
+
+def _displayed(said: Any) -> Displayed:
+    """Colour ("RRGGBB") and window (start, end) of a channel in "omero"."""
+    said = said if isinstance(said, dict) else {}
+    color, window = str(said.get("color") or ""), said.get("window")
+    channels, ends = None, None
+    if re.fullmatch("[0-9a-fA-F]{6}", color):
+        red, green, blue = (round(int(color[k : k + 2], 16) / 255.0, 4) for k in (0, 2, 4))
+        channels = red, green, blue
+    if isinstance(window, dict):
+        low, high = window.get("start"), window.get("end")
+        if isinstance(low, (int, float)) and isinstance(high, (int, float)) and -1e30 < low < high < 1e30:
+            ends = float(low), float(high)
+    return Displayed(channels, ends)
 
 
 def _transformation(parts: list[dict]) -> tuple[np.ndarray | None, np.ndarray | None]:

@@ -19,6 +19,7 @@ from clvol.volume.series import StepVolume
 if TYPE_CHECKING:
     from clvol.scene.camera import Camera
     from clvol.scene.resolve import ResolvedScene
+    from clvol.volume.volume import Volume
 
 _LOOK = ("integration", "image", "multiresolution", "pyramid", "slicing")  # tables that measuring errors may change
 
@@ -43,8 +44,10 @@ class MadeFrom:
         return self._asked is not None and not isinstance(self._asked[0].volume, StepVolume)
 
     def __call__(self) -> dict[str, Any]:
-        if self._asked is not None:
-            self._told, self._asked = _told(*self._asked), None
+        asked = self._asked  # which another thread may forget meanwhile
+        if asked is not None:
+            self._told = _told(*asked)
+            self._asked = None
         return self._told
 
 
@@ -52,7 +55,7 @@ def _told(resolved: ResolvedScene, camera: Camera, frame: int | None) -> dict[st
     facts: dict[str, Any] = {
         "clvol": clvol.__version__,
         "scene": _digest(resolved.source or ""),
-        "look": _digest(_look(resolved)),
+        "look": _look(resolved),
         "camera": camera.model_dump(mode="json"),
         "time": resolved.animation.time,
         **_sources(resolved),
@@ -71,7 +74,8 @@ def _sources(resolved: ResolvedScene) -> dict[str, Any]:
     found: dict[str, Any] = {"voxels": None, "fields": None, "environment": None}
     try:
         found["voxels"] = volume_digest(resolved.volume, by_blocks)
-        found["fields"] = [volume_digest(field.volume) for field in resolved.fields]
+        found["fields"] = [volume_digest(volume) for volume in _of_fields(resolved)]
+        found["channels"] = [volume_digest(channel.volume, by_blocks) for channel in resolved.channels[1:]]
         if tables := [field.labels_path for field in resolved.fields if field.labels_path is not None]:
             found["label_tables"] = [file_digest(path) for path in tables]
         if resolved.environment is not None:
@@ -81,7 +85,30 @@ def _sources(resolved: ResolvedScene) -> dict[str, Any]:
     return {name: value for name, value in found.items() if value or name == "voxels"}
 
 
+def _of_fields(resolved: ResolvedScene) -> list[Volume]:
+    """The volumes of all fields; of one of colours those of its components."""
+    named: list[Volume] = []
+    for field in resolved.fields:
+        named += [field.volume] if field.colors_of_voxels is None else field.colors_of_voxels.channels
+    return named
+
+
+_last_look: tuple[tuple[Any, ...], str] = ((), "")  # what it is of, and its digest
+
+
 def _look(resolved: ResolvedScene) -> str:
+    """A digest of the transfer function and of the tables that measuring errors may change. Scenes of one job or
+    animation share it."""
+    global _last_look
+    of = resolved.transfer_function, resolved.background, resolved.compression, *(getattr(resolved, t) for t in _LOOK)
+    before, digest = _last_look
+    if len(of) != len(before) or any(a is not b for a, b in zip(of, before)):
+        digest = _digest(_look_text(resolved))
+        _last_look = of, digest
+    return digest
+
+
+def _look_text(resolved: ResolvedScene) -> str:
     function = resolved.transfer_function
     numbers = [function.values, function.opacities, function.colors, function.opacity_unit]
     tables = {name: getattr(resolved, name).model_dump(mode="json") for name in _LOOK}

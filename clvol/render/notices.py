@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import sys
 import warnings
 from typing import Any
@@ -26,6 +27,12 @@ class Notices:
 
     def of_scene(self, resolved: ResolvedScene) -> None:
         self._of_scene = scene_warnings(resolved)
+
+    def anew(self) -> Notices:
+        """Those of another scene whose warnings are the same, none of which has been given."""
+        other = copy.copy(self)
+        other._told = set()
+        return other
 
     def of_picture(
         self,

@@ -7,6 +7,7 @@ from typing import Any
 
 from clvol.encoding.coded_volume import CodedVolume
 from clvol.integrators.base import ChangesStep, Prepared, Shared
+from clvol.integrators.channels import prepared_channels
 from clvol.integrators.decoding import codes_of, compression_stats, with_rendered_voxels
 from clvol.integrators.registry import integrator_of
 from clvol.opencl.context import DeviceContext
@@ -41,6 +42,8 @@ class PreparedCache:
         """``resolved``, ready to be rendered by the integrator that it names. ``progress(done, total)`` reports
         the blocks that are read for it. ``wait`` False: a thread reads them, and frames show those that are there until
         all have arrived; None: as in the last request."""
+        if resolved.channels:
+            return prepared_channels(resolved, lambda scene: self.prepare(scene, progress, wait))
         integrator, asked = integrator_of(resolved), resolved.volume
         resolved = with_rendered_voxels(resolved, self._shared, integrator, progress)
         resolved = integrator.simplified(resolved, self._shared)

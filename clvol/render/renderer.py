@@ -15,6 +15,7 @@ from weakref import WeakSet
 from clvol.device.fields import field_bytes
 from clvol.device.light_volume import light_volume_bytes
 from clvol.errors import DeviceError, RenderError, UsageError, VolumeError
+from clvol.features.analysis import differs_in_view
 from clvol.features.compression import is_compressed
 from clvol.integrators.base import FrameData, Prepared, Progress, RefinesInTime
 from clvol.integrators.registry import check_scene, integrator_of
@@ -31,6 +32,7 @@ from clvol.render.notices import Notices
 from clvol.render.progress_bar import shown
 from clvol.render.supersampling.picture import Source, rendered, supersampled
 from clvol.scene.camera import Camera
+from clvol.scene.channel_scenes import channel_scenes
 from clvol.scene.classification import with_classification
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume.lazy import LazyVolume
@@ -254,7 +256,7 @@ class Renderer:
         next_time: float | None,
     ) -> Frame:
         resolved = self.resolved
-        for volume in (resolved.volume, *(field.volume for field in resolved.fields)):
+        for volume in resolved.volumes:
             volume.check_unchanged()
         if seconds is not None:
             seconds = _checked_seconds(resolved, seconds)
@@ -308,9 +310,12 @@ class Renderer:
             start = perf_counter()
             resolved = _checked(scene, self._memory_cap)
             loaded = perf_counter()
-            on_devices.prepare(resolved, progress)
+            if differs_in_view(resolved, self.resolved):  # what is prepared is rendered from any camera
+                self._notices = self._notices.anew()
+            else:
+                on_devices.prepare(resolved, progress)
+                self._notices = Notices(resolved)
             self.resolved, self._first_time = resolved, resolved.animation.time
-            self._notices = Notices(resolved)
             compile_seconds = on_devices.group.take_compile_seconds()
             self._load_seconds, self._compile_seconds = loaded - start, compile_seconds
             self._prepare_seconds = perf_counter() - loaded - compile_seconds
@@ -329,6 +334,8 @@ class Renderer:
         ``stats["blocks"]["pending"]`` is the number of blocks still to come.
         """
         with self._turn() as on_devices:
+            if self.resolved.channels:
+                raise UsageError("set_transfer_function", "called for a scene of channels", "set_scene")
             function = self.resolved.in_stored_values(function)
             resolved = with_classification(replace(self.resolved, transfer_function=function))
             check_scene(resolved)  # a blank scene may hide effects that this one has
@@ -395,6 +402,8 @@ def _refining(prepared: Prepared) -> RefinesInTime:
 
 def _checked_seconds(resolved: ResolvedScene, seconds: float) -> float:
     integrator = integrator_of(resolved)
+    if resolved.channels:
+        raise UsageError("seconds", "given for a scene of channels", "one channel, or the blend 'mix'")
     if not integrator.refines_in_time(resolved):
         if integrator.reads_blocks:
             stepping = resolved.multiresolution.stepping
@@ -410,7 +419,9 @@ def check_memory(resolved: ResolvedScene, cap: int | None) -> None:
     if cap is None:
         return
     integrator, volume = integrator_of(resolved), resolved.volume
-    needed = integrator.device_bytes(volume, resolved) + light_volume_bytes(resolved) + field_bytes(resolved)
+    scenes = channel_scenes(resolved)
+    needed = sum(integrator.device_bytes(each.volume, each) + light_volume_bytes(each) for each in scenes)
+    needed += field_bytes(resolved)
     if needed > cap:
         what = f"needs {needed} bytes on the device, pictures and tables included"
         expected = f"at most the memory cap of {cap} bytes" + integrator.memory_advice(resolved)[1]
@@ -420,6 +431,10 @@ def check_memory(resolved: ResolvedScene, cap: int | None) -> None:
 def _with_voxels(resolved: ResolvedScene) -> ResolvedScene:
     """``resolved``, with the voxels read that its integrator takes as a whole: how it renders may depend on them."""
     volume = resolved.volume
+    if resolved.channels and not integrator_of(resolved).reads_blocks:
+        for channel in resolved.channels:
+            _ = channel.volume.data
+        return replace(resolved)  # the scenes of its channels depend on voxels, too
     if not isinstance(volume, LazyVolume) or integrator_of(resolved).reads_blocks or is_compressed(resolved):
         return resolved
     _ = volume.data

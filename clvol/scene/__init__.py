@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
+from clvol.scene.channel import ChannelSettings, ResolvedChannel
 from clvol.scene.clip import Clip
 from clvol.scene.coherence import Coherence
 from clvol.scene.compression import Compression
@@ -40,6 +41,7 @@ from clvol.scene.volume import VolumeSettings
 __all__ = [
     "Animation",
     "Camera",
+    "ChannelSettings",
     "Clip",
     "Coherence",
     "Compression",
@@ -65,6 +67,7 @@ __all__ = [
     "Overlay",
     "Pyramid",
     "Slicing",
+    "ResolvedChannel",
     "ResolvedField",
     "ResolvedScene",
     "Scene",

@@ -18,6 +18,7 @@ from clvol.transfer import TransferFunction
 from clvol.volume.axis import ValueAxis
 
 if TYPE_CHECKING:
+    from clvol.scene.channel import ResolvedChannel
     from clvol.scene.field import ResolvedField
     from clvol.scene.opacity_factor import OpacityFactor
     from clvol.scene.resolve import ResolvedScene
@@ -35,6 +36,9 @@ def in_stored_values(resolved: ResolvedScene) -> ResolvedScene:
     fields = tuple(_field_in_stored(field) for field in resolved.fields)
     if any(a is not b for a, b in zip(fields, resolved.fields)):
         resolved = replace(resolved, fields=fields)
+    channels = tuple(_channel_in_stored(channel) for channel in resolved.channels)
+    if any(a is not b for a, b in zip(channels, resolved.channels)):
+        resolved = replace(resolved, channels=channels)
     volume, axis = resolved.volume.plain
     if axis.is_plain:
         return resolved
@@ -94,6 +98,14 @@ def function_in_codes(function: TransferFunction, code: Code) -> TransferFunctio
     return TransferFunction(values, function.opacities, function.colors, function.opacity_unit)
 
 
+def _channel_in_stored(channel: ResolvedChannel) -> ResolvedChannel:
+    volume, axis = channel.volume.plain
+    if axis.is_plain:
+        return channel
+    function = function_in_codes(channel.function, code_of(axis, volume.dtype))
+    return replace(channel, volume=volume, axis=axis, function=function)
+
+
 def _field_in_stored(field: ResolvedField) -> ResolvedField:
     volume, axis = field.volume.plain
     if axis.is_plain:
@@ -102,6 +114,8 @@ def _field_in_stored(field: ResolvedField) -> ResolvedField:
     changed: dict[str, Any] = {"volume": volume, "axis": axis}
     if field.role == "mask":
         changed["threshold"] = float(code(field.threshold))
+    elif field.role == "color":
+        return field
     elif field.role == "density":
         changed["function"] = function_in_codes(field.function, code)
     else:

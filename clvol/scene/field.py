@@ -15,6 +15,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, WrapValidator, mode
 
 from clvol.errors import SceneError, VolumeError
 from clvol.readers import is_url, load_volume
+from clvol.readers.colored import load_colored
 from clvol.scene.table import COLOR, AsTuple, Color, Fraction, Number, Table, Whole, wrong
 from clvol.scene.transfer_function import ControlPoint, check_points
 from clvol.scene.transfer_layer import function_of
@@ -22,12 +23,13 @@ from clvol.scene.volume import Choice, is_path, path_text
 from clvol.transfer import TransferFunction, srgb_to_linear
 from clvol.transfer.exchange.files import load_labels
 from clvol.volume.axis import ValueAxis
+from clvol.volume.colored import Colors
 from clvol.volume.volume import Volume
 
 LARGEST_COUNT = 3
 LARGEST_LABELS = 65536
 _LARGEST_LABEL = 2**53 - 1  # float64 does not distinguish larger labels
-_READ_BY = {"label": "labels", "density": "points", "mask": None}
+_READ_BY = {"label": "labels", "density": "points", "mask": None, "color": None}
 _NEEDED = {
     "labels": "a list of labels { label = …, color = [r, g, b] }, or labels_file, for a field of role 'label'",
     "points": "a list of points { value = …, opacity = …, color = [r, g, b] } for role 'density'",
@@ -50,13 +52,14 @@ class ResolvedField:
     """A field with its volume. Attributes that its role does not read keep their defaults.
 
     The role "label" reads ``labels`` (int64 [n], ascending, distinct), ``colors`` (float64 [n, 3], linear light) and
-    ``factors`` (float64 [n] in [0, 1], on the extinction). "density" reads ``function``. "mask" reads ``threshold``
-    and ``keep``. All numbers are in the stored numbers of ``volume``; ``axis`` maps them to the values of the requested
+    ``factors`` (float64 [n] in [0, 1], on the extinction). "density" reads ``function``, "mask" ``threshold``
+    and ``keep``, "color" ``colors_of_voxels``. All numbers are in the stored numbers of ``volume``; ``axis`` maps
+    them to the values of the requested
     volume.
     """
 
     volume: Volume
-    role: Literal["label", "density", "mask"]
+    role: Literal["label", "density", "mask", "color"]
     labels: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
     colors: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
     factors: np.ndarray = field(default_factory=lambda: np.empty(0))
@@ -64,6 +67,7 @@ class ResolvedField:
     threshold: float = 0.5
     keep: Literal["above", "below"] = "above"
     axis: ValueAxis = ValueAxis()
+    colors_of_voxels: Colors | None = None
     labels_path: Path | None = None  # the table that labels come from
 
 
@@ -97,7 +101,7 @@ def _file(value: Any, check: Callable[[Any], Any]) -> Any:
 
 
 class FieldSettings(Table):
-    """A further volume, in the role "label", "density" or "mask".
+    """A further volume, in the role "label", "density", "mask" or "color".
 
     ``file`` is relative to the scene file; from Python it may be a ``clvol.Volume``. ``channel``, ``time`` and
     ``series`` select one of several in the file, as in [volume].
@@ -105,8 +109,9 @@ class FieldSettings(Table):
     A field has its own grid and is sampled by world position: labels from the nearest voxel, densities and masks
     linearly between voxels. Outside the grid there is no label and no density, and a masked volume is empty. "label":
     each of ``labels`` has its own colour; other labels keep the look of the volume. "density": ``points``, whose
-    opacities refer to the opacity_unit of [transfer_function], add to the volume's extinction and emission. "mask": the
-    volume is kept where the field is ``keep`` ("above" or "below") the ``threshold``.
+    opacities refer to the opacity_unit of [transfer_function], add to the volume's extinction and emission. "mask":
+    the volume is kept where the field is ``keep`` ("above" or "below") the ``threshold``. "color": the colours of its
+    voxels (red, green and blue, perhaps alpha) take the place of the transfer function's.
     """
 
     file: Annotated[
@@ -137,9 +142,9 @@ class FieldSettings(Table):
         description="the index (from 0) or the name of a series",
         examples=[0],
     )
-    role: Literal["label", "density", "mask"] = Field(
-        title="What the field does: colour by label, add a second medium, or mask the volume.",
-        description="'label', 'density' or 'mask'",
+    role: Literal["label", "density", "mask", "color"] = Field(
+        title="What the field does: colour by label or by voxel, add a second medium, or mask the volume.",
+        description="'label', 'density', 'mask' or 'color'",
         examples=["label"],
     )
     labels: Annotated[tuple[FieldLabel, ...], AsTuple] | None = Field(
@@ -214,6 +219,8 @@ class FieldSettings(Table):
             got = f"got {self.file!r}, no such file"
             raise SceneError(f"{where}.file", got, "a volume file or a DICOM folder")
         try:
+            if self.role == "color":
+                return load_colored(path, "luminance", memory_cap=memory_cap, **self.choices)
             return load_volume(path, labels=labels, memory_cap=memory_cap, **self.choices)
         except VolumeError as error:  # readers name the keys of [volume]
             table = where.rpartition(": ")[2]
@@ -235,6 +242,10 @@ class FieldSettings(Table):
         ``folder``. Raises SceneError for a label table that cannot be read."""
         if self.role == "mask":
             return ResolvedField(volume, "mask", threshold=self.threshold, keep=self.keep)
+        if self.role == "color":
+            if volume.colors is None:
+                raise SceneError("field", "a volume of one value per voxel for the role 'color'", "colours of voxels")
+            return ResolvedField(volume, "color", colors_of_voxels=volume.colors)
         if self.role == "density":
             function = function_of(self.points or (), opacity_unit, decoded)
             return ResolvedField(volume, "density", function=function)

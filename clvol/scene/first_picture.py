@@ -104,7 +104,7 @@ def _filled_in(scene: Scene, picture: FirstPicture, look: Look, view: View, more
         update["integration"] = scene.integration.model_copy(update=keys)
     asked = scene.camera or Camera()
     camera = asked.complete(picture.volume.grid, scene.image, scene.origin, picture.volume.frame, view)
-    update["camera"] = camera = _rounded(camera, asked)
+    update["camera"] = camera = rounded(camera, asked)
     if look.lit and not scene.light and scene.environment is None:
         forward, _, up = camera.basis()
         update["light"] = tuple(Light(**light) for light in lights_for(-forward, up))
@@ -116,7 +116,7 @@ def _filled_in(scene: Scene, picture: FirstPicture, look: Look, view: View, more
     return filled
 
 
-def _rounded(camera: Camera, asked: Camera) -> Camera:
+def rounded(camera: Camera, asked: Camera) -> Camera:
     """``camera`` with what ``asked`` leaves out rounded, so that a scene file states it in a line."""
     distance = float(np.linalg.norm(np.subtract(camera.position or 0.0, camera.target or 0.0)))
     digits = 5 - int(np.floor(np.log10(max(distance, 1e-300))))

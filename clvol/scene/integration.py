@@ -23,6 +23,11 @@ class Integration(Table):
     the ray; the others show the "maximum", the "minimum" or the "average" of the values on it, or a maximum in which
     ``attenuation`` weakens what lies behind. ``prefilter`` makes the filter "cubic" interpolate the voxels.
 
+    ``blend`` puts channels together. Each has a picture of its own, with all that the scene states, and light adds up
+    ("additive", which may exceed white), is screened (1 - (1 - a)(1 - b) of each component) or is the "maximum" of each
+    component; opacities are screened, or their maximum. "mix" is one medium: extinctions and emissions of all channels
+    add up at every place, so that channels hide each other by depth.
+
     ``classification``: "auto" is "post" where that errs less than "preintegrated", which it is elsewhere.
 
     ``quadrature``: even "steps" along a ray, or "cells": one piece per cell of the linear filter that the ray crosses,
@@ -72,6 +77,11 @@ class Integration(Table):
         "over",
         title="Emission and absorption ('over'), or a projection of the values along each ray.",
         description="'over', 'maximum', 'minimum', 'average' or 'attenuated-maximum'",
+    )
+    blend: Literal["additive", "screen", "maximum", "mix"] = Field(
+        "additive",
+        title="How [[channel]]s are put together: their pictures added, or blended, or all as one medium ('mix').",
+        description="'additive', 'screen', 'maximum' or 'mix'",
     )
     attenuation: Number = Field(
         1.0, ge=0, le=1e6,

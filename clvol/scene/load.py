@@ -6,7 +6,8 @@ import copy
 import os
 import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +24,17 @@ else:
     import tomli as tomllib
 
 LARGEST_FILE = 64 * 2**20
+_KEPT_TEXT = 2**18  # characters of a file that is parsed once
 _POSITION = re.compile(r"^(?P<what>.*?)\s*\(at (?P<place>[^()]*)\)$", re.DOTALL)
 _DICOM_FILES = (".dcm", ".ima")  # the reader says what to do with a single file
 _KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def load_scene(
-    path: str | Path, overrides: Iterable[str] = (), settings: Iterable[tuple[str, Any]] = ()
+    path: str | Path,
+    overrides: Iterable[str] = (),
+    settings: Iterable[tuple[str, Any]] = (),
+    make: Callable[[dict[str, Any], str, Path], Scene] = Scene.from_data,
 ) -> Scene:
     """Loads the scene file ``path`` (.toml), or makes a scene with all defaults of a volume: ``path`` is a file,
     a folder or a URL.
@@ -43,14 +48,15 @@ def load_scene(
     ``Scene.resolve``.
 
     ``path`` may also be a picture (.exr, .png, .jpg) that clvol has rendered: the scene is the one that its header
-    carries, and ``Scene.moment`` says which camera and time the picture shows.
+    carries, and ``Scene.moment`` says which camera and time the picture shows. ``make`` takes the place of
+    ``Scene.from_data``.
     """
     overrides, settings = tuple(overrides), tuple(settings)
     if is_url(path):  # which Path would respell
         origin = str(path)
         data, folder = {"volume": {"file": origin}}, Path()
         _change(data, overrides, settings, origin)
-        return Scene.from_data(data, origin, folder)
+        return make(data, origin, folder)
     path = Path(path)
     if is_picture_path(path):
         return _load_carried(path, overrides, settings)
@@ -62,7 +68,7 @@ def load_scene(
         if os.path.isdir(path) and is_store(path):
             data["integration"] = {"method": "multiresolution"}
     _change(data, overrides, settings, str(path))
-    return Scene.from_data(data, str(path), folder)
+    return make(data, str(path), folder)
 
 
 def parsed_file(path: Path) -> dict[str, Any]:
@@ -130,7 +136,7 @@ def _read(path: Path) -> dict[str, Any]:
 def _parsed(text: str, path: str) -> dict[str, Any]:
     """The tables of a scene file's ``text``; errors name ``path``."""
     try:
-        return tomllib.loads(text)
+        return _copied(_tables(text)) if len(text) < _KEPT_TEXT else tomllib.loads(text)
     except RecursionError:
         raise SceneError(path, "nested too deeply", "a scene in TOML") from None
     except ValueError as error:  # TOMLDecodeError is one
@@ -139,6 +145,19 @@ def _parsed(text: str, path: str) -> dict[str, Any]:
             place = f"line {text.count(chr(10)) + 1}"
         where = f"{path}: {place}" if place else path
         raise SceneError(where, what, "a scene in TOML") from None
+
+
+@lru_cache(maxsize=8)
+def _tables(text: str) -> dict[str, Any]:
+    """``text`` as TOML; not to be changed, since it is kept for the next scene of the same file."""
+    return tomllib.loads(text)
+
+
+def _copied(value: Any) -> Any:
+    """A copy of ``value`` that shares no table and no list with it."""
+    if isinstance(value, dict):
+        return {key: _copied(item) for key, item in value.items()}
+    return [_copied(item) for item in value] if isinstance(value, list) else value
 
 
 def _parted(message: str) -> tuple[str, str]:

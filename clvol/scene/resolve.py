@@ -16,10 +16,12 @@ from numpy.typing import ArrayLike
 from clvol.errors import SceneError
 from clvol.lazily import lazily
 from clvol.readers import is_url, load_volume
+from clvol.readers.colored import load_colored
 from clvol.readers.options import ALL_TIMES
 from clvol.readers.series import file_series, files_of, is_pattern, series_name
 from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
+from clvol.scene.channel import ResolvedChannel
 from clvol.scene.classification import ChosenClassification, with_classification
 from clvol.scene.clip import Clip
 from clvol.scene.codes import code_of, function_in_codes, in_stored_values
@@ -104,6 +106,8 @@ class ResolvedScene:
     noise: tuple[Noise, ...] = ()
     depth_cue: DepthCue | None = None
     animation: Animation = Animation()
+    channels: tuple[ResolvedChannel, ...] = ()  # whose pictures are blended; ``volume`` is that of the first
+    mixed_channels: int = 0  # channels that are one medium: the volume and the first densities of ``fields``
     voxel_range: tuple[float, float] | None = None  # where ``volume`` holds codes instead of voxels
     axis: ValueAxis = ValueAxis()
     compression: Compression = Compression()
@@ -123,6 +127,14 @@ class ResolvedScene:
         return replace(self, volume=volume, animation=self.animation.model_copy(update={"time": time}))
 
     @property
+    def volumes(self) -> tuple[Volume, ...]:
+        """All volumes of the scene, each once: its own, those of channels, and those of fields."""
+        named = [self.volume, *(each.volume for each in self.channels), *(each.volume for each in self.fields)]
+        for field in self.fields:
+            named += field.colors_of_voxels.channels if field.colors_of_voxels is not None else ()
+        return tuple({id(volume): volume for volume in named}.values())
+
+    @property
     def data_range(self) -> tuple[float, float]:
         """The lowest and highest finite voxel: the range that relative settings refer to."""
         return self.voxel_range or self.volume.value_range
@@ -137,13 +149,19 @@ class ResolvedScene:
 def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
     """See ``Scene.resolve``."""
     _check_no_labels(scene)
-    volume = scene.load_volume(memory_cap)
     scene = scene.completed(memory_cap)
+    volume = scene.load_volume(memory_cap)
     camera = (scene.camera or Camera()).complete(volume.grid, scene.image, scene.origin, volume.frame)
     _check_step_count(scene, volume.grid)
 
     given = scene.transfer_function
-    if isinstance(given, TransferFunction):
+    channels: tuple[ResolvedChannel, ...] = ()
+    if scene.channel:
+        assert isinstance(given, TransferFunctionSettings) and given.opacity_unit is not None
+        is_linear = given.color_space == "linear"
+        channels = _channels(scene, given.opacity_unit, is_linear, memory_cap)
+        function = channels[0].function
+    elif isinstance(given, TransferFunction):
         function, is_linear = given, True
     else:
         settings = given or TransferFunctionSettings()
@@ -158,10 +176,15 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
     background = decoded(scene.image.background)
     background.setflags(write=False)
     unit = function.opacity_unit
-    fields = (
+    fields = [
         settings.resolved(field, unit, decoded, scene.folder)
         for settings, field in zip(scene.field, scene.load_fields(memory_cap))
-    )
+    ]
+    if volume.colors is not None and not scene.channel:
+        fields.insert(0, ResolvedField(volume, "color", colors_of_voxels=volume.colors))
+    mixes = scene.integration.blend == "mix"
+    if mixes:
+        fields[:0] = [ResolvedField(each.volume, "density", function=each.function) for each in channels[1:]]
     environment, cue = scene.environment, scene.depth_cue
     if environment is not None:
         environment = environment.found_in(scene.folder, scene.origin, memory_cap)
@@ -191,6 +214,8 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         directional_opacity=None if scene.directional_opacity is None else scene.directional_opacity.factor(),
         transfer_layers=tuple(layer.layer(unit, decoded) for layer in scene.transfer_layer),
         fields=tuple(fields),
+        channels=() if mixes or len(channels) == 1 else channels,
+        mixed_channels=len(channels) if mixes else 0,
         noise=scene.noise,
         depth_cue=cue,
         animation=scene.animation,
@@ -202,6 +227,20 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         steps=scene.step_times(memory_cap),
     )
     return with_classification(in_stored_values(resolved))
+
+
+def _channels(
+    scene: Scene, opacity_unit: float, is_linear: bool, memory_cap: int | None
+) -> tuple[ResolvedChannel, ...]:
+    """The channels of a completed scene, stated in values."""
+
+    def decoded(color: ArrayLike) -> np.ndarray:
+        return in_linear_light(color, is_linear)
+
+    return tuple(
+        ResolvedChannel(volume, settings.function(opacity_unit, decoded), settings.name(number))
+        for number, (settings, volume) in enumerate(zip(scene.channel, scene.load_channels(memory_cap)))
+    )
 
 
 def _surface(surface: Isosurface, decoded: Callable[[ArrayLike], np.ndarray]) -> Isosurface:
@@ -223,6 +262,9 @@ def load_scene_volume(
     if settings.file is None:
         raise SceneError(f"{origin}: volume.file", "missing", "a volume file or a DICOM folder")
     if is_series(settings, folder):
+        if settings.color is not None:
+            what = f"got {settings.color!r} for a volume that changes over time"
+            raise SceneError(f"{origin}: volume.color", what, "colours of one time")
         return _load_series(settings, folder, origin, memory_cap)
     for key in ("step", "steps_per_second", "value_range"):
         if (value := getattr(settings, key)) is not None:
@@ -234,6 +276,8 @@ def load_scene_volume(
         check_finished(path)
         got = f"got {settings.file!r}, no such file"
         raise SceneError(f"{origin}: volume.file", got, "a volume file or a DICOM folder")
+    if settings.color is not None:
+        return load_colored(path, settings.color, **_read_options(settings, memory_cap))
     volume = load_volume(path, **_read_options(settings, memory_cap))
     if settings.nan != "transparent" and volume.nan_count:
         volume = _with_nan_as(volume, settings.nan)

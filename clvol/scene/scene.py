@@ -18,12 +18,14 @@ from pydantic import (
     model_validator,
 )
 
+from clvol.errors import SceneError, SeveralChannels
 from clvol.lazily import lazily
 from clvol.readers import is_url
 from clvol.readers.series import named_files
 from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
 from clvol.scene.carried import Moment
+from clvol.scene.channel import LARGEST_CHANNELS, ChannelSettings
 from clvol.scene.clip import Clip
 from clvol.scene.coherence import Coherence
 from clvol.scene.compression import Compression
@@ -55,14 +57,17 @@ from clvol.scene.volume import VolumeSettings
 from clvol.scene.write import to_toml
 from clvol.transfer import TransferFunction
 from clvol.volume.adopted import is_array_like
+from clvol.volume.colored import is_color
 from clvol.volume.series import StepVolume, VolumeSeries
 from clvol.volume.volume import Volume
 
 if TYPE_CHECKING:
     from clvol.choice import first_picture as choice
+    from clvol.scene import first_channels as channels
     from clvol.scene import first_picture as completion
 else:
     choice = lazily("clvol.choice.first_picture")
+    channels = lazily("clvol.scene.first_channels")
     completion = lazily("clvol.scene.first_picture")
 
 _TABLE = "a table"
@@ -96,6 +101,13 @@ def _transfer_function(value: Any, check: Callable[[Any], Any]) -> Any:
     return value if isinstance(value, TransferFunction) else check(value)
 
 
+def _first_source(scene: Scene) -> Any:
+    """What is read as the scene's volume: [volume], or the first of its channels."""
+    if not scene.channel or isinstance(scene.volume, VolumeSeries):
+        return scene.volume
+    return scene.channel[0].source(0, scene.volume, f"{scene.origin}: channel.0")
+
+
 def _same_voxels(one: Any, other: Any) -> bool:
     """Whether two tables [volume] name the same voxels; of a series, perhaps other steps."""
     if one == other:
@@ -119,6 +131,8 @@ class Scene(Table):
         Version of the scene format: 1.
     volume : Volume, VolumeSeries, str, path or VolumeSettings
         The voxels: an array on a grid, several of them in time, a file, or a computed field. Required.
+    channel : sequence of ChannelSettings
+        Several values per voxel: the channels of the volume's file, or volumes, each with a colour and a range.
     camera : Camera, optional
         The view. Default: perspective, 30 degrees, the whole volume in view.
     image : ImageSettings
@@ -194,6 +208,11 @@ class Scene(Table):
     volume: Annotated[VolumeSettings, WrapValidator(_volume)] = Field(
         title="The voxels to render: a file, or a computed field.",
         description="a table with the key file, or field and size",
+    )
+    channel: Annotated[tuple[ChannelSettings, ...], AsTuple] = Field(
+        (),
+        title="Channels of the volume's file, each with its own colour and range; integration.blend combines them.",
+        description=_TABLES,
     )
     camera: Camera | None = Field(
         None,
@@ -318,6 +337,8 @@ class Scene(Table):
     _first: Any = PrivateAttr(None)  # what suits the loaded volume
     _chosen: dict[str, Any] | None = PrivateAttr(None)  # what was chosen for this scene, and why
     _moment: Moment | None = PrivateAttr(None)  # what is shown of a scene that a picture carries
+    _several: SeveralChannels | None = PrivateAttr(None)  # channels of the file, of which the scene selects none
+    _shown_color: str | None = PrivateAttr(None)  # volume.color, for a file of colours
     _fields: dict[tuple, Any] = PrivateAttr(default_factory=dict)  # the volumes of fields, by file and choices
 
     @model_validator(mode="after")
@@ -334,11 +355,25 @@ class Scene(Table):
         counts = {
             "transfer_layer": LARGEST_LAYERS, "field": LARGEST_COUNT, "noise": LARGEST_NOISES
         }  # fmt: skip
+        counts["channel"] = LARGEST_CHANNELS
         for name, most in counts.items():
             count = len(getattr(self, name))
             if count > most:
                 raise wrong(name, count, f"at most {most} of them")
+        if self.channel:
+            self._check_channels()
         return self
+
+    def _check_channels(self) -> None:
+        """Raises the error of a validator for what contradicts [[channel]]."""
+        function = self.transfer_function
+        if isinstance(function, TransferFunction):
+            raise wrong("transfer_function", function, "the points of each [[channel]] instead")
+        for key in ("points", "preset", "colormap", "file"):
+            if function is not None and getattr(function, key) is not None:
+                raise wrong(f"transfer_function.{key}", key, f"{key} beside no [[channel]]: channels have their own")
+        if isinstance(self.volume, VolumeSettings) and self.volume.channel is not None:
+            raise wrong("volume.channel", self.volume.channel, "either volume.channel or [[channel]], not both")
 
     @classmethod
     def from_data(cls, data: Mapping[str, Any], origin: str, folder: Path) -> Scene:
@@ -356,6 +391,7 @@ class Scene(Table):
         copy._origin, copy._folder = self._origin, self._folder
         if "volume" not in (update or {}):
             copy._loaded, copy._first, copy._chosen = self._loaded, self._first, self._chosen
+            copy._several, copy._shown_color = self._several, self._shown_color
         copy._fields, copy._memory_cap = self._fields, self._memory_cap
         return copy
 
@@ -365,8 +401,9 @@ class Scene(Table):
         if self._folder != other._folder:
             return
         if self._loaded is None and other._loaded is not None and _same_voxels(self.volume, other.volume):
-            other._loaded.check_unchanged()
-            self._loaded, self._first = other._loaded, other._first
+            if _first_source(self) == _first_source(other):
+                other._loaded.check_unchanged()
+                self._loaded, self._first, self._several = other._loaded, other._first, other._several
         self._fields = {**other._fields, **self._fields}
 
     def load_volume(self, memory_cap: int | None = None) -> Volume:
@@ -420,8 +457,56 @@ class Scene(Table):
 
     def _load(self, memory_cap: int | None) -> Volume | VolumeSeries:
         if self._loaded is None:
-            self._loaded = load_scene_volume(self.volume, self._folder, self._origin, memory_cap)
+            self._loaded = load_scene_volume(_first_source(self), self._folder, self._origin, memory_cap)
         return self._loaded
+
+    def load_shown(self, memory_cap: int | None = None) -> Volume:
+        """As ``load_volume``; of a file with several channels, of which the scene may show all, the first one."""
+        try:
+            return self.load_volume(memory_cap)
+        except SeveralChannels as several:
+            if not self._may_show_channels and not is_color(several.names):
+                raise
+            if is_color(several.names):
+                self._shown_color = "alpha" if len(several.names) == 4 else "luminance"
+                colored = self.volume.model_copy(update={"color": self._shown_color})
+                self._loaded = load_scene_volume(colored, self._folder, self._origin, memory_cap)
+                return self._loaded
+            first = self.volume.model_copy(update={"channel": several.numbers[0]})
+            self._loaded = load_scene_volume(first, self._folder, self._origin, memory_cap)
+            self._several = several
+            return self._loaded
+
+    @property
+    def _may_show_channels(self) -> bool:
+        """Whether all channels of a file are shown where the scene selects none: it says nothing that holds for the
+        values of one channel."""
+        by_value = (self.isosurface, self.transfer_layer, self.noise, self.gradient_opacity, self.directional_opacity)
+        plain = isinstance(self.volume, VolumeSettings) and self.compression.codec == "none"
+        return plain and self.transfer_function is None and not any(by_value) and not self.channel
+
+    @property
+    def several_channels(self) -> SeveralChannels | None:
+        """The channels of the file, if the scene shows all of them since it selects none."""
+        return self._several
+
+    def load_channels(self, memory_cap: int | None = None) -> tuple[Volume, ...]:
+        """The volumes of all [[channel]]s, each read once and kept. SceneError for a series in time, VolumeError."""
+        volumes: list[Volume] = []
+        for number, settings in enumerate(self.channel):
+            where = f"{self._origin}: channel.{number}"
+            source = settings.source(number, self.volume, where)
+            key = ("channel", source)
+            if number == 0:
+                loaded: Any = self._load(memory_cap)
+            else:
+                if key not in self._fields:
+                    self._fields[key] = load_scene_volume(source, self._folder, self._origin, memory_cap)
+                loaded = self._fields[key]
+            if isinstance(loaded, VolumeSeries):
+                raise SceneError(where, "in a scene whose volume changes over time", "one time (volume.time)")
+            volumes.append(loaded)
+        return tuple(volumes)
 
     def load(self, memory_cap: int | None = None) -> None:
         """Reads the volume and the fields, which are kept, and checks the environment's size.
@@ -429,7 +514,7 @@ class Scene(Table):
         ``memory_cap``: bytes that each of them may take in memory. Raises SceneError, VolumeError.
         """
         self._memory_cap = memory_cap
-        self.load_volume(memory_cap)
+        self.load_shown(memory_cap)
         self.load_fields(memory_cap)
         if self.environment is not None:
             self.environment.found_in(self._folder, self._origin, memory_cap)
@@ -467,6 +552,14 @@ class Scene(Table):
         ``memory_cap``: as for ``load_volume``. Raises SceneError, VolumeError.
         """
         given = self.transfer_function
+        if given is None and not self.channel:
+            self.load_shown(memory_cap)
+        if self._shown_color is not None and getattr(self.volume, "color", None) is None:
+            stated = self.model_copy(update={"volume": self.volume.model_copy(update={"color": self._shown_color})})
+            stated._loaded, stated._first = self._loaded, self._first
+            return stated.completed(memory_cap)
+        if self.channel or self._several:
+            return channels.completed(self, self._memory_cap if memory_cap is None else memory_cap)
         if given is not None and not (isinstance(given, TransferFunctionSettings) and has_technique(given.preset)):
             return self
         return completion.completed(self, self._memory_cap if memory_cap is None else memory_cap)
@@ -498,7 +591,7 @@ class Scene(Table):
     def input_paths(self) -> list[Path]:
         """The files and folders that the scene names: volume, fields and their label tables, environment, transfer
         function."""
-        named = [*self.field, self.environment, self.transfer_function]
+        named = [*self.field, *self.channel, self.environment, self.transfer_function]
         files = [getattr(table, "file", None) for table in named] + [field.labels_file for field in self.field]
         files += named_files(getattr(self.volume, "file", None), self._folder)
         return [self._folder / file for file in files if isinstance(file, str) and not is_url(file)]

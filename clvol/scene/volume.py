@@ -71,7 +71,7 @@ _FILES_SCHEMA = WithJsonSchema(
 )
 _RANGE_SCHEMA = WithJsonSchema({"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2})
 _OF_FILES = (
-    "dims", "dtype", "header_bytes", "byte_order", "channel", "time", "series", "step", "steps_per_second",
+    "dims", "dtype", "header_bytes", "byte_order", "channel", "color", "time", "series", "step", "steps_per_second",
     "value_range",
 )  # fmt: skip
 Choice = Annotated[Any, BeforeValidator(_choice)]
@@ -94,6 +94,9 @@ class VolumeSettings(Table):
     unless ``loop``. By default all steps are spread over ``animation.frames``; without these there is a frame for each
     step. ``step`` is the step that is shown whatever the time. Range, transfer function and look are those of all
     times, for which each step is read once, unless ``value_range`` states the range.
+
+    ``color``: voxels are red, green, blue and perhaps alpha, and show these colours; the transfer function classifies
+    their "luminance" (Rec. 709), their "brightness" (largest component) or their "alpha", and gives opacities alone.
 
     ``field`` takes the place of a file: it is computed on ``size`` (nx, ny, nz) voxels of 8 bits, with a spacing of 1
     or ``spacing`` (``clvol.volume.procedural.scene_field``).
@@ -140,6 +143,12 @@ class VolumeSettings(Table):
         title="Which channel to read where the file has several.",
         description="the index (from 0) or the name of a channel",
         examples=[0],
+    )
+    color: Literal["luminance", "brightness", "alpha"] | None = Field(
+        None,
+        title="The file's channels are colours of voxels (RGB, RGBA); which value of theirs is classified.",
+        description="'luminance', 'brightness' or 'alpha'",
+        examples=["luminance"],
     )
     time: Choice = Field(
         None,
@@ -215,6 +224,8 @@ class VolumeSettings(Table):
             raise wrong("size", None, expected)
         if isinstance(self.file, tuple) and self.time == ALL_TIMES:
             raise wrong("time", self.time, "the index of one time in each of several files")
+        if self.color is not None and self.channel is not None:
+            raise wrong("color", self.color, "either channel or color, not both")
         if self.field is None and self.size is not None:
             raise wrong("size", self.size, "a size beside field alone; for a .raw file, dims")
         if abs(self.slope) < 1e-30:

@@ -75,6 +75,8 @@ def _bare(key: str) -> str:
 
 
 def format_value(value: Any) -> str:
+    if type(value) is float:  # what most values are
+        return repr(value)
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):

@@ -41,8 +41,8 @@ def srgb_levels(linear: np.ndarray) -> np.ndarray:
     bound = bounds.take(at)
     out: np.ndarray = levels.take(at) + (linear >= bound)
     bound -= linear
-    near = np.abs(bound, out=bound) < _NEAR
-    if near.any():
+    if np.abs(bound, out=bound).min(initial=1.0) < _NEAR:
+        near = bound < _NEAR
         out[near] = _rounded(linear[near])
     return out
 

@@ -23,18 +23,19 @@ _OPAQUE = 1.0 - 1e-4  # larger opacities are lowered to this, so that optical de
 
 
 class RangeExtremes:
-    """The maximum of ``values`` [n] over any span, from a table of spans of powers of two."""
+    """The maxima of ``values`` [n, channels] over any span, from a table of spans of powers of two."""
 
     def __init__(self, values: np.ndarray) -> None:
         values = np.asarray(values, np.float64)
-        self._table = np.zeros((max(len(values).bit_length(), 1), len(values)))  # [k, i]: of 2^k values from the i-th
+        # [k, i]: of 2^k values from the i-th
+        self._table = np.zeros((max(len(values).bit_length(), 1), *values.shape))
         self._table[0] = values
         for k in range(1, len(self._table)):
             half, count = 1 << (k - 1), len(values) - (1 << k) + 1
             np.maximum(self._table[k - 1, :count], self._table[k - 1, half : half + count], out=self._table[k, :count])
 
     def largest(self, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-        """The maximum of the values from ``first`` to ``last``, both included; ``first`` <= ``last``."""
+        """[spans, channels]: the maxima of the values from ``first`` to ``last`` >= ``first``, both included."""
         power = np.frexp(last - first + 1)[1] - 1
         return np.maximum(self._table[power, first], self._table[power, last + 1 - (1 << power)])
 
@@ -72,8 +73,7 @@ def most_steps(
     # Many cells have the same values: each span of nodes is looked at once.
     pairs, same = np.unique(first * len(nodes) + last, return_inverse=True)
     first, last = np.divmod(pairs, len(nodes))
-    spans = [_spans(slopes[:, k], rates[:, k], first, last) for k in range(rates.shape[1])]
-    steepest, bend, difference = (np.max(each, axis=0)[same] for each in zip(*spans))
+    steepest, bend, difference = (each.max(axis=1)[same] for each in _spans(slopes, rates, first, last))
     steps = np.ones(len(bounds), np.int64)
     goes_on = np.ones(len(bounds), bool)
     for count in range(2, edge + 1):
@@ -95,8 +95,10 @@ def _with_knots(nodes: np.ndarray, knots: np.ndarray) -> np.ndarray:
 
 
 def _spans(slopes: np.ndarray, rates: np.ndarray, first: np.ndarray, last: np.ndarray):
-    """Largest slope, difference of slopes, and difference of rates between nodes ``first`` and ``last`` + 1."""
-    up, down = RangeExtremes(slopes).largest(first, last), RangeExtremes(-slopes).largest(first, last)
-    high = RangeExtremes(rates).largest(first, last + 1)
-    low = -RangeExtremes(-rates).largest(first, last + 1)
-    return np.maximum(np.abs(up), np.abs(down)), up + down, high - low
+    """Largest slopes, differences of slopes, and differences of rates between nodes ``first`` and ``last`` + 1, each
+    [spans, channels]."""
+    channels = slopes.shape[1]
+    ends = RangeExtremes(np.concatenate([slopes, -slopes], axis=1)).largest(first, last)
+    up, down = ends[:, :channels], ends[:, channels:]
+    bounds = RangeExtremes(np.concatenate([rates, -rates], axis=1)).largest(first, last + 1)
+    return np.maximum(np.abs(up), np.abs(down)), up + down, bounds[:, :channels] + bounds[:, channels:]

@@ -95,6 +95,10 @@ class Grid:
 
     def world_to_index(self) -> np.ndarray:
         """4x4 float64: the inverse of ``index_to_world``."""
+        return self._world_to_index.copy()
+
+    @cached_property
+    def _world_to_index(self) -> np.ndarray:
         matrix = np.eye(4)
         matrix[:3, :3] = np.linalg.inv(self.direction) / np.asarray(self.spacing)[:, None]
         matrix[:3, 3] = -(matrix[:3, :3] @ np.asarray(self.origin))
@@ -112,6 +116,10 @@ class Grid:
 
     def world_corners(self) -> np.ndarray:
         """(8, 3) float64: the domain's corners in world space, x changing fastest, then y, z."""
+        return self._world_corners.copy()
+
+    @cached_property
+    def _world_corners(self) -> np.ndarray:
         bounds = self.index_bounds()
         corner = np.arange(8)
         pick = np.stack([corner & 1, (corner >> 1) & 1, corner >> 2], axis=1)

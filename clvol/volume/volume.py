@@ -15,6 +15,7 @@ import numpy as np
 from clvol.errors import ClvolWarning, VolumeError
 from clvol.volume.adopted import Adopted, adopt
 from clvol.volume.axis import ValueAxis, turned
+from clvol.volume.colored import Colors, ColorValue, colored_volume, components
 from clvol.volume.grid import Grid
 from clvol.volume.narrow import WIDE_TYPES, Narrowing, current_narrowing, narrowed
 
@@ -59,6 +60,7 @@ class Volume:
     labels = False
     narrowed = False  # the voxels were of a type that no volume has, and their own follows from their values
     files: tuple[str, ...] = ()  # data files beside ``path`` that the voxels come from
+    colors: Colors | None = None  # of voxels that have some; ``data`` is then one value of each
     _seen: bytes | None = None  # a sample of voxels that others can write to, as they were
 
     def __init__(
@@ -90,6 +92,16 @@ class Volume:
         self.path = path
         self.format = format
         self.unit = own.unit if unit is None else unit
+
+    @classmethod
+    def from_colors(cls, array: Any, value: ColorValue = "luminance", **keys: Any) -> Volume:
+        """A volume whose voxels have colours: ``array`` [z, y, x, 3], or 4 with alpha.
+
+        Integers are sRGB-encoded over the range of their type, floating-point numbers are linear light from 0 to 1.
+        ``value`` is what the transfer function classifies: the "luminance" (Rec. 709), the "brightness" (largest
+        component) or the "alpha". Other arguments are those of ``Volume``. Raises VolumeError.
+        """
+        return colored_volume([cls(each, **keys) for each in components(array, value)], value, cls)
 
     @property
     def dtype(self) -> np.dtype:

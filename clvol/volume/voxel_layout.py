@@ -21,6 +21,7 @@ class Voxels(Protocol):
 
 CELL_SHIFT = 3  # cells of 8^3 for empty space
 FINE_SHIFT = 2  # of 4^3, where plain rays leap over it
+MOST_OCTANT_CELLS = 2**20  # of a map with one more per octant, of which a view needs few
 MOST_FINE_CELLS = 2**21  # of a map that stays in a processor's second-level cache
 # 8-bit volumes are stored as pairs, with twice the memory, up to this many bytes of pairs.
 _LARGEST_PAIRS = 512 * 2**20

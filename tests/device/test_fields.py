@@ -197,6 +197,18 @@ def test_where_a_density_is_no_number_there_is_none(context):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("count", [9, 40])
+def test_a_density_has_a_table_of_its_own_width(context, count):
+    """Registers hold a volume's function of 17 to 256 pieces, whatever the density's has."""
+    values = np.linspace(0.0, 2.0, count)
+    many = TransferFunction(values, np.full(count, 0.1), np.full((count, 3), [1.0, 0.0, 0.0]))
+    field = density_field(np.ones((2, 2, 2), np.uint8), spacing=(16.0,) * 3)
+    rgba = through(context, 0, field, function=many)
+    both = -np.log1p(-0.1) - np.log1p(-0.5)
+    np.testing.assert_allclose(rgba[..., 3], -np.expm1(-LENGTH * both), atol=3e-6)
+
+
+@pytest.mark.slow
 def test_gradients_of_the_volume_do_not_weight_a_density(context):
     field = density_field(np.ones((2, 2, 2), np.uint8), spacing=(16.0,) * 3)
     ramp = np.broadcast_to(np.arange(SIZE, dtype=np.float32), (SIZE, SIZE, SIZE))

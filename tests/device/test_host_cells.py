@@ -28,6 +28,14 @@ def arrays(request):
 def kernels_only(monkeypatch):
     monkeypatch.setattr(host_cells, "_MOST_VOXELS", -1)
     monkeypatch.setattr(host_cells, "_MOST_CELLS", -1)
+    monkeypatch.setattr(host_cells, "_MOST_CELLS_OF_OCTANTS", -1)
+
+
+def masks_of_cells(rng) -> list[np.ndarray]:
+    masks = [rng.random(shape) < share for shape in ((7, 9, 12), (1, 1, 300), (30, 2, 5)) for share in (0.01, 0.3)]
+    masks += [np.zeros((3, 4, 5), bool), np.ones((3, 4, 5), bool)]
+    masks[2][0, 0, 0] = True
+    return masks
 
 
 def test_volumes_are_those_of_the_kernels(contexts, device, arrays, monkeypatch):
@@ -52,10 +60,32 @@ def test_volumes_are_those_of_the_kernels(contexts, device, arrays, monkeypatch)
 
 def test_distances_are_those_of_the_kernel(contexts, device, monkeypatch):
     context, rng = contexts(device), np.random.default_rng(4)
-    masks = [rng.random(shape) < share for shape in ((7, 9, 12), (1, 1, 300), (30, 2, 5)) for share in (0.01, 0.3)]
-    masks += [np.zeros((3, 4, 5), bool), np.ones((3, 4, 5), bool)]
-    masks[2][0, 0, 0] = True
+    masks = masks_of_cells(rng)
     host = [context.read(distance_map(context, mask)) for mask in masks]
     kernels_only(monkeypatch)
     for mask, distances in zip(masks, host):
         np.testing.assert_array_equal(distances, context.read(distance_map(context, mask)))
+
+
+def test_maps_of_octants_have_the_distances_to_what_is_ahead():
+    for mask in masks_of_cells(np.random.default_rng(4)):
+        places, seen = np.stack(np.indices(mask.shape), axis=-1).reshape(-1, 3), np.argwhere(mask)
+        for octant, found in enumerate(host_cells.octant_distances(mask)):
+            signs = np.array([1 if octant & bit else -1 for bit in (4, 2, 1)])
+            ways = (seen[None] - places[:, None]) * signs
+            far = np.where((ways >= 0).all(axis=-1), ways.max(axis=-1), 255)
+            expected = np.minimum(far.min(axis=1, initial=255), 255)
+            np.testing.assert_array_equal(found.ravel(), expected, err_msg=f"octant {octant} of {mask.shape}")
+
+
+def test_maps_of_octants_are_those_of_the_kernel(contexts, device, monkeypatch):
+    context = contexts(device)
+    if not context.is_cpu:
+        pytest.skip("the host prepares volumes for CPU devices alone")
+    masks = masks_of_cells(np.random.default_rng(5))
+    host = [context.read(distance_map(context, mask, octants=True)) for mask in masks]
+    kernels_only(monkeypatch)
+    for mask, maps in zip(masks, host):
+        assert maps.size == 9 * mask.size + 4
+        np.testing.assert_array_equal(maps[: mask.size], context.read(distance_map(context, mask))[: mask.size])
+        np.testing.assert_array_equal(maps, context.read(distance_map(context, mask, octants=True)))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clvol.device.noise import noise_tile
+from clvol.device.voxel_colors import linear_light
 from reference import classify
 from reference.field import Field, GridSampler
 from reference.noise import fractal_noise
@@ -161,6 +162,12 @@ class Medium:
         return [classify.of_chord(f, front, back, length) for f in self.functions]
 
     def _with_fields(self, color, depth, start, middle, end, length):
+        for field, sampler in self.fields:
+            if field.role == "color":
+                parts = field.colors_of_voxels
+                light = np.stack([linear_light(each) for each in (parts.red, parts.green, parts.blue)], axis=-1)
+                mixed = GridSampler(light, field.volume.grid)(middle)
+                color = np.where(sampler.inside(middle)[:, None], mixed, color)
         for field, sampler in self.fields:
             if field.role == "label":
                 label, inside = sampler(middle), sampler.inside(middle)

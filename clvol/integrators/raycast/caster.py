@@ -85,6 +85,7 @@ class Raycaster:
     _step_map: DeviceArray
     map_cells: tuple[int, ...]  # cells (x, y, z) of ``distances``, each of 2^map_shift lattice units
     map_shift: int
+    octant_cells = 0  # as many, where a map per octant follows (cl/skip_empty.h); the maps of effects are alike
     visible_nodes: tuple[np.ndarray, np.ndarray]  # ``between`` and ``at`` of ``visible_mask``
     shown: np.ndarray  # bool [z, y, x]: cells in which anything can be seen
 
@@ -154,6 +155,7 @@ class Raycaster:
             varies=self.march.varies_steps and isinstance(self.volume, DeviceVolume),
         )
         self.map_cells, self.map_shift = self.volume.cells, self.volume.cell_shift
+        self.octant_cells = 0
         self.visible_nodes = visible, at_nodes
         self.march.find_empty_space(self, mask)
         warp = self.nodes.warp
@@ -166,7 +168,7 @@ class Raycaster:
             self._build_shadows()
         self._follow_data()
         if self.switches.get("CONSTANT_CELLS"):
-            self.effects.set_constant(distance_map(context, changing_cells(self)))
+            self.effects.set_constant(distance_map(context, changing_cells(self), bool(self.octant_cells)))
         self.without_surfaces = self._beside_surfaces()
         self.march.scene_changed(self)
 

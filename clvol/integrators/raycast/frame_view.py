@@ -84,6 +84,7 @@ def _describe_volume(caster: Raycaster, row: np.void) -> None:
     for name, numbers in volume.view_fields.items():
         row[name][:3] = numbers
     row["cells"][:3], row["cell_shift"] = caster.map_cells, caster.map_shift
+    row["octant_cells"] = caster.octant_cells
     row["piece_columns"], row["function_floats"], row["piece_count"] = caster.pieces
 
 

@@ -14,7 +14,7 @@ from clvol.opencl.context import DeviceArray, DeviceContext, Kernel
 from clvol.opencl.struct_check import REPORT_ARGUMENTS, check_structs
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
-from clvol.volume.voxel_layout import FINE_SHIFT
+from clvol.volume.voxel_layout import FINE_SHIFT, MOST_OCTANT_CELLS
 
 if TYPE_CHECKING:
     from clvol.integrators.raycast.caster import Raycaster
@@ -100,9 +100,11 @@ class RayMarch:
             if found is not None:
                 mask, met = found
                 caster.map_cells, caster.map_shift = mask.shape[::-1], FINE_SHIFT
+                if caster.context.is_cpu and mask.size <= MOST_OCTANT_CELLS:
+                    caster.octant_cells = mask.size
                 if met is not None:
-                    caster.effects.set_surfaces(distance_map(caster.context, met))
-        caster.distances = distance_map(caster.context, mask)
+                    caster.effects.set_surfaces(distance_map(caster.context, met, bool(caster.octant_cells)))
+        caster.distances = distance_map(caster.context, mask, bool(caster.octant_cells))
 
     def scene_changed(self, caster: Raycaster) -> None:
         pass

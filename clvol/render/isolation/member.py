@@ -101,7 +101,7 @@ class IsolatedMember(Member):
             is_smooth(resolved)  # looks at the widest step, which the process does not have
         scene = encoded(resolved, self._volumes.number)
         keeps = integrator_of(resolved).reads_blocks
-        named = [self._volumes.number(v) for v in (resolved.volume, *(f.volume for f in resolved.fields))]
+        named = [self._volumes.number(v) for v in resolved.volumes]
         new = [number for number in dict.fromkeys(named) if number not in self._sent]
         messages = [(number, *self._volumes.message(number, keeps)) for number in new]
         descriptors = [descriptor for *_, descriptor in messages if descriptor is not None]

@@ -15,20 +15,21 @@ from typing import Any
 import numpy as np
 
 from clvol.device.view import PixelLattice, PixelList
-from clvol.scene import OpacityFactor, ResolvedField, ResolvedScene, TransferLayer
+from clvol.scene import OpacityFactor, ResolvedChannel, ResolvedField, ResolvedScene, TransferLayer
 from clvol.scene.classification import ChosenClassification
 from clvol.scene.step_times import StepTimes
 from clvol.scene.table import Table
 from clvol.transfer import TransferFunction
 from clvol.volume.axis import ValueAxis
+from clvol.volume.colored import Colors
 from clvol.volume.grid import Grid
 from clvol.volume.volume import Volume
 
 _TYPES: dict[str, type] = {
     each.__name__: each
     for each in (
-        ChosenClassification, Grid, OpacityFactor, PixelLattice, PixelList, ResolvedField, ResolvedScene, StepTimes,
-        TransferFunction, TransferLayer, ValueAxis,
+        ChosenClassification, Colors, Grid, OpacityFactor, PixelLattice, PixelList, ResolvedChannel, ResolvedField,
+        ResolvedScene, StepTimes, TransferFunction, TransferLayer, ValueAxis,
     )  # fmt: skip
 }
 

@@ -167,6 +167,32 @@ def test_small_cells_give_the_picture_of_large_ones_with_fewer_samples(context, 
     np.testing.assert_array_equal(fine.rgba, everything.rgba)
 
 
+def test_maps_of_octants_give_the_same_bits_with_fewer_leaps(context, monkeypatch):
+    import clvol.integrators.raycast.march as module
+
+    if not context.is_cpu:
+        pytest.skip("maps of octants are for CPU devices")
+    rng = np.random.default_rng(23)
+    for number in range(12):
+        target = rng.uniform(0, SHAPE[::-1])
+        position = target + rng.normal(size=3) * rng.choice([5.0, 60.0, 400.0])
+        camera = {"position": position.tolist(), "target": target.tolist(), "fov_degrees": rng.uniform(5, 120)}
+        if number % 4 == 0:  # rays along axes and in planes of them
+            camera = {"projection": "orthographic", "position": [48, 41, -90], "target": [48, 41 + 9 * number, 30],
+                      "height": 110.0}  # fmt: skip
+        how = {"camera": camera, "width": 61, "height": 53}
+        scene = make_scene(blobs(), BLOBS, classification=("post", "preintegrated")[number % 2], **how)
+        ahead = both(context, scene)
+        with monkeypatch.context() as m:
+            m.setattr(module, "MOST_OCTANT_CELLS", 0)
+            around = both(context, scene)
+        for one, other in zip(ahead, around):
+            assert_same(other, one)
+            assert one.counters["leaps"] <= other.counters["leaps"]
+        if number == 0:
+            assert all(one.counters["leaps"] < 0.8 * other.counters["leaps"] for one, other in zip(ahead, around))
+
+
 @pytest.mark.parametrize("filter", ["linear", "nearest"])
 def test_small_cells_for_surfaces_give_the_same_picture_and_fewer_of_them_are_looked_into(
     context, monkeypatch, filter

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from clvol.cli.write_behind import WriteBehind
+from clvol.batch.write_behind import WriteBehind
 
 
 def test_the_caller_goes_on_while_one_piece_is_done():
