@@ -90,6 +90,8 @@ TILES = (
          "scattering", "[shadow] scattering"),
     Tile("cloud", "Noise and sun", "An ellipsoid that noise stirs and frays, shadows and "
          "scattering in it.", "noise", "[[noise]]"),
+    Tile("heptane-glow", "Associated colours", "Flames that emit without hiding anything, in smoke that emits "
+         "nothing.", "associated colours", "[transfer_function] associated, emission"),
     Tile("fireball", "Fireball, 0 s", "A radial field, two noises that move, colours that cycle.",
          "colour cycling", "[[noise]] velocity, [animation] cycle"),
     Tile("fireball", "Fireball, 1.2 s", "The same scene later.",
@@ -97,12 +99,17 @@ TILES = (
     Tile("tooth-layers", "Two-dimensional transfer function",
          "Of value and gradient magnitude: enamel, dentine and pulp apart.",
          "two-dimensional transfer function", "[[transfer_layer]]"),
+    Tile("tooth-boundaries", "Generated function", "Made of the data: where value, gradient and second derivative tell "
+         "that a boundary is.", "two-dimensional transfer function", '[transfer_function] generator'),
     Tile("cthead-gradient", "Gradient-weighted opacity", "What is even fades; boundaries stay.",
          "gradient opacity", "[gradient_opacity]"),
     Tile("inia19-labels", "Labels", "A second volume of anatomical labels colours half of a brain.",
          "label field", '[[field]] role = "label"'),
     Tile("inia19-mask", "Mask", "The same labels as a mask: a brain without its head.",
          "mask field", '[[field]] role = "mask"'),
+    Tile("inia19-joint", "Joint transfer function",
+         "Of the scan's value and a second volume's: one gives opacity, the other shifts the colour.",
+         "joint transfer function", '[[field]] role = "value", [[transfer_layer]] values'),
     Tile("vismale-channels", "Channels", "Skin, muscle and bone as channels of colours of their own, whose light "
          "is screened.", "channels", "[[channel]], [integration] blend"),
     Tile("vismale-clipped", "Clipping", "By a box and a sphere; faces of the cut are lit.",

@@ -1,9 +1,10 @@
 """More than one ray per pixel: what patterns and thresholds cost, and what error they leave.
 
 Per scene, RMSE against 64 rays per pixel (a regular grid of 8 by 8), rays per pixel and seconds of a frame: one ray,
-2 and 4 everywhere, 4 on the rotated grid, everywhere and at edges by three thresholds. The goal is the error of the
-regular 4 everywhere with at most 35 % of its rays. Then `--max-error --pixel-area`, in small pictures, where pixels
-hold more: whether it holds over all pixels, against 225 rays per pixel, none of which is one of the picture's own.
+2 and 4 everywhere, 4 on the rotated grid, everywhere and at edges by three thresholds, and graded by four. The goal is
+the error of the regular 4 everywhere with at most 35 % of its rays. Then `--max-error --pixel-area`, in small pictures,
+where pixels hold more: whether it holds over all pixels, against 225 rays per pixel, none of which is one of the
+picture's own.
 After Klein et al. 2005, section 4.3.
 """
 
@@ -26,6 +27,7 @@ GOAL = 0.35  # of the rays of four everywhere
 ERRORS = (1e-2, 3e-3)
 _SIDE, _TARGET_SIDE = 8, 15  # rays per side of a pixel of what is compared with
 THRESHOLDS = (0.02, 0.03, 0.05)
+GRADED = (0.01, 0.015, 0.03, 0.065)
 _FINE = {"step": 1 / 8, "early_termination": 0.0}  # of rays that stand for exact ones
 VARIANTS: dict[str, dict[str, Any]] = {
     "1": {},
@@ -34,6 +36,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "4 rotated": {"samples": 4, "refine": "all"},
     **{f"4 regular, edges {t}": {"samples": 4, "edge_threshold": t, "sample_pattern": "regular"} for t in THRESHOLDS},
     **{f"4 rotated, edges {t}": {"samples": 4, "edge_threshold": t} for t in THRESHOLDS},
+    **{f"4 graded, edges {t}": {"samples": 4, "edge_threshold": t, "refine": "graded"} for t in GRADED},
 }
 
 

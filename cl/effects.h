@@ -60,9 +60,10 @@ typedef struct {
   int diffuse_map_size, specular_map_size, sky_map_size;       /* nodes per side of the maps of the environment, */
   int diffuse_map, specular_map, sky_map;                      /* and where they begin in `environment` */
   int gradient_opacity_points, directional_opacity_points;     /* of opacity factors */
-  int layer_count;                                             /* of a function of two values */
+  int layer_count, layer_rows; /* of a function of two values: its layers; of a joint one of three: layers of a row, rows */
   int gradient_opacity_table, directional_opacity_table, layer_table; /* where these begin in `factors` */
   int field_count, added_terms, moving_terms;
+  int glow_points, glow_table; /* of associated colours (glow.h); where they begin in `factors` */
 } Effects;
 
 /* Reported to the host (struct_fields.h). */
@@ -86,9 +87,9 @@ typedef struct {
   FIELD(Effects, first_clip), FIELD(Effects, diffuse_map_size), FIELD(Effects, specular_map_size), \
   FIELD(Effects, sky_map_size), FIELD(Effects, diffuse_map), FIELD(Effects, specular_map), \
   FIELD(Effects, sky_map), FIELD(Effects, gradient_opacity_points), FIELD(Effects, directional_opacity_points), \
-  FIELD(Effects, layer_count), FIELD(Effects, gradient_opacity_table), FIELD(Effects, directional_opacity_table), \
+  FIELD(Effects, layer_count), FIELD(Effects, layer_rows), FIELD(Effects, gradient_opacity_table), FIELD(Effects, directional_opacity_table), \
   FIELD(Effects, layer_table), FIELD(Effects, field_count), FIELD(Effects, added_terms), \
-  FIELD(Effects, moving_terms)
+  FIELD(Effects, moving_terms), FIELD(Effects, glow_points), FIELD(Effects, glow_table)
 
 /* What is counted beside samples: one number each a tile. clvol/features/vocabulary.py names them in this order. */
 #define COUNT_GRADIENTS 0        /* gradients reconstructed */

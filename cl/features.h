@@ -65,11 +65,17 @@
 #define OPACITY_FACTOR_GRADIENT 1
 #define OPACITY_FACTOR_DIRECTIONAL 2
 
+/* Switch TRANSFER_LAYERS; 0: there is one function of one value (opacity_factors.h, joint_layers.h). */
+#define LAYERS_BY_GRADIENT 1
+#define LAYERS_OF_TWO 2
+#define LAYERS_OF_THREE 3
+
 /* Bits of the switch FIELDS, and roles of fields (fields.h). */
 #define FIELD_LABEL 1
 #define FIELD_DENSITY 2
 #define FIELD_MASK 4
 #define FIELD_COLOR 8
+#define FIELD_VALUE 16
 
 /* What a term of noise perturbs, and bits of the switch NOISE: whether any term does (noise.h). */
 #define NOISE_TARGET_VALUE 0

@@ -18,6 +18,9 @@
 #include "opacity.h"
 #include "transfer_pieces.h"
 #include "view.h"
+#if TRANSFER_LAYERS
+#include "opacity_factors.h"
+#endif
 
 /* What was composited is noted by itself, and the profile is scaled to it. */
 #define HALF_SCALED ((EFFECTS && !SEGMENT_OPACITIES) || CLASSIFICATION == CLASSIFICATION_PRE)
@@ -102,10 +105,12 @@ INLINE void note_whole(HalfOpacity *half_, intN passes, floatN whole, floatN ste
 #endif
 
 #if TRANSFER_LAYERS
-INLINE void note_layers(HalfOpacity *half_, intN passes, intN low, intN high, floatN share)
+/* Of a joint function of three values the profile is that of the row that counts more. */
+INLINE void note_layers(HalfOpacity *half_, intN passes, TablePlace p)
 {
-  half_->low = select(half_->low, low, passes), half_->high = select(half_->high, high, passes);
-  half_->share = select(half_->share, share, passes);
+  const intN row = select((intN)0, p.next_row, MASK(p.row_share > 0.5f));
+  half_->low = select(half_->low, p.low + row, passes), half_->high = select(half_->high, p.high + row, passes);
+  half_->share = select(half_->share, p.share, passes);
 }
 #endif
 

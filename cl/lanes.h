@@ -202,6 +202,19 @@ INLINE int any_lane(intN mask)
 #endif
 }
 
+/* The least of all lanes. */
+INLINE int least_lane(intN v)
+{
+#if LANES == 16
+  const int8 a = min(v.lo, v.hi);
+  const int4 b = min(a.lo, a.hi);
+  const int2 c = min(b.lo, b.hi);
+  return min(c.x, c.y);
+#else
+  return v;
+#endif
+}
+
 /* 1 / sqrt(x) for normal x > 0, to 3e-7: the hardware's guess of 14 bits where there is one, else one from the
  * exponent, then Newton's steps. Packets' square roots and divisions take many times as long. */
 INLINE floatN lane_rsqrt(floatN x)

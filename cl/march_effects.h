@@ -6,8 +6,10 @@
  * on which effects work in turn:
  *   opacity_factors.h  extinction weighted by the gradient and by the derivative along the ray, or from a function of
  *                      two values
+ *   joint_layers.h     emission and extinction from a function of the values of several fields
  *   fields.h           further volumes: labels, densities, masks
  *   shade.h            lights, environment, shadows
+ *   glow.h             light of associated colours
  *   depth cueing
  *   surfaces.h         iso-surfaces in the segment, in order with the volume before and behind them
  * Gradients are taken, and lights asked, only where a segment has opacity (LIGHTING, see cl/effects.h for what is
@@ -43,6 +45,17 @@
 #if FIELDS
 #include "fields.h"
 #endif
+#if GLOW
+#include "glow.h"
+#endif
+#if TRANSFER_LAYERS
+#define GRADIENT_LAYERS (TRANSFER_LAYERS == LAYERS_BY_GRADIENT)
+#if !GRADIENT_LAYERS
+#include "joint_layers.h"
+#endif
+#else
+#define GRADIENT_LAYERS 0
+#endif
 #if ISOSURFACES
 #include "surfaces.h"
 #endif
@@ -75,7 +88,7 @@
 #if TRANSFER_LAYERS && TRANSLUCENT
 #define NOTE_SEGMENT(passes, part)                         \
   note_whole(&half_, passes, e.d * (part), STEADY_SHARE); \
-  note_layers(&half_, passes, layers.low, layers.high, layers.share);
+  note_layers(&half_, passes, layers);
 #elif HALF_SCALED
 #define NOTE_SEGMENT(passes, part) note_whole(&half_, passes, e.d * (part), STEADY_SHARE);
 #else
@@ -83,7 +96,7 @@
 #endif
 
 /* Gradients are also reconstructed where nothing is lit, for what depends on them. */
-#define GRADIENT_DECIDES (OPACITY_FACTORS || TRANSFER_LAYERS)
+#define GRADIENT_DECIDES (OPACITY_FACTORS || GRADIENT_LAYERS)
 
 PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
                           Tally *counted FIRST_PARAMETER)
@@ -249,6 +262,20 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
       e.d = select((floatN)0.0f, e.d, active);
       intN shows = MASK(e.d > 0.0f);
 #endif
+#if GLOW
+      /* What emits need not absorb: such segments pass by all that changes what is absorbed. */
+      Vectors light = {0.0f, 0.0f, 0.0f};
+      intN glows = 0;
+      if (visible) {
+#if NEEDS_ENDS
+        light = glow_between(scene, a, b, active);
+#else
+        light = glow_between(scene, mid, mid, active);
+#endif
+        glows = active & (MASK(light.x > 0.0f) | MASK(light.y > 0.0f) | MASK(light.z > 0.0f));
+      }
+      shows |= glows;
+#endif
 #if FIELDS
       const FieldLook look_of_fields = look_at_fields(scene, &ray, t0, t1, xm, ym, zm, shows, active, counted);
       shows = active & (shows | MASK(look_of_fields.added.d > 0.0f)) & MASK(look_of_fields.kept > 0.0f);
@@ -262,11 +289,16 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
       }
 #endif
 #if TRANSFER_LAYERS
-      TablePlace layers = {0, 0, 0.0f};
+      TablePlace layers = {0, 0, 0.0f, 0, 0.0f};
       if (visible) {
+#if GRADIENT_LAYERS
         layers = layers_around(scene, gradient, view->function_floats);
-        _Pragma("unroll 1") for (int k = 0; k < 2; ++k) {
-          const intN first = k ? layers.high : layers.low;
+#else
+        layers = joint_layers(scene, xm, ym, zm, shows, view->function_floats, counted);
+#endif
+        Emission row = no_emission();
+        _Pragma("unroll 1") for (int k = 0; k < LAYER_CORNERS; ++k) {
+          const intN first = layer_corner(layers, k);
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
           const Emission layer = segment_emission_in(a, b, active, first, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST
@@ -274,7 +306,9 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
 #else
           const Emission layer = classified_emission_in(fetch_sample(volume, view, xm, ym, zm), view, first, table);
 #endif
-          e = k ? mixed_emission(e, layer, layers.share) : layer;
+          row = k & 1 ? mixed_emission(row, layer, layers.share) : layer;
+          if (k == 1) e = row;
+          if (k == 3) e = mixed_emission(e, row, layers.row_share);
         }
       }
 #endif
@@ -287,10 +321,16 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
       else
         e = no_emission();
 #endif
-#if FIELDS || GRADIENT_DECIDES
+#if FIELDS || GRADIENT_DECIDES || GLOW
       e.d = select((floatN)0.0f, e.d, active);
       shows &= MASK(e.d > 0.0f);
       visible = any_lane(shows);
+#endif
+#if GLOW
+#if FIELDS
+      light = scaled3(light, look_of_fields.kept);
+#endif
+      visible |= any_lane(glows);
 #endif
       if (visible) {
         Vectors color = {e.r, e.g, e.b};
@@ -312,6 +352,9 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
         const floatN weight = (1.0f - acc.a) * segment_opacity(e);
         color = shaded_color(scene, color, e.d, place, normal, gradient, scaled3(forward, -1.0f), weight, 0, lit,
                              counted);
+#endif
+#if GLOW
+        color = sum3(color, light);
 #endif
 #if DEPTH_CUE
         color = cued_color(scene, color, e.d, ray.entry_depth + tm * h);

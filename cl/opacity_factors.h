@@ -26,6 +26,8 @@ INLINE floatN length3(Vectors a)
 typedef struct {
   intN low, high; /* entries */
   floatN share;   /* of the second */
+  intN next_row;    /* of joint functions of three values: how far on the same two of the next row begin, */
+  floatN row_share; /* and the share of that row */
 } TablePlace;
 
 /* Between which of `n` ascending places x lies; beyond the ends the outermost one twice. */
@@ -44,6 +46,7 @@ INLINE TablePlace place_in_table(__global const float *places, int n, floatN x)
   p.low = max(above - 1, zero), p.high = min(above, last);
   const floatN from = AS_FLOAT(gather4(places, p.low)), to = AS_FLOAT(gather4(places, p.high)), span = to - from;
   const intN wide = MASK(span > 0.0f);
+  p.next_row = 0, p.row_share = 0.0f;
   p.share = select((floatN)0.0f,
                    lane_clamp((x - from) / select((floatN)1.0f, span, wide), (floatN)0.0f, (floatN)1.0f), wide);
   return p;
@@ -87,6 +90,14 @@ INLINE TablePlace layers_around(const Scene *scene, Vectors gradient, int floats
   TablePlace p = place_in_table(scene->factors + effects->layer_table, effects->layer_count, length3(gradient));
   p.low *= floats, p.high *= floats;
   return p;
+}
+
+/* How many layers are around a place, and where the table of one of them begins. */
+#define LAYER_CORNERS (TRANSFER_LAYERS == LAYERS_OF_THREE ? 4 : 2)
+INLINE intN layer_corner(TablePlace p, int k)
+{
+  const intN first = k & 1 ? p.high : p.low;
+  return k & 2 ? first + p.next_row : first;
 }
 
 INLINE Emission mixed_emission(Emission a, Emission b, floatN share)

@@ -47,6 +47,9 @@
 #if FIELDS
 #include "fields.h"
 #endif
+#if TRANSFER_LAYERS > LAYERS_BY_GRADIENT
+#include "joint_layers.h"
+#endif
 #if SHADOWS == SHADOWS_HALF_ANGLE
 #include "slice_light.h"
 #endif
@@ -140,12 +143,23 @@ INLINE floatN extinction_along(const Scene *scene, const Rays *ray, floatN t0, f
 #endif
 #if OPACITY_FACTORS || TRANSFER_LAYERS
   if (any_lane(shows)) {
+#if OPACITY_FACTORS || TRANSFER_LAYERS == LAYERS_BY_GRADIENT
     count_lanes(&counted[COUNT_GRADIENTS], shows);
     const Vectors gradient = scene_gradient(scene, x, y, z);
-#if TRANSFER_LAYERS
+#endif
+#if TRANSFER_LAYERS == LAYERS_BY_GRADIENT
     const TablePlace layers = layers_around(scene, gradient, view->function_floats);
     const floatN low = depth_of_values(scene, v, x, y, z, shows, layers.low);
     e.d = low + layers.share * (depth_of_values(scene, v, x, y, z, shows, layers.high) - low);
+#elif TRANSFER_LAYERS
+    const TablePlace layers = joint_layers(scene, x, y, z, shows, view->function_floats, counted);
+    floatN row = 0.0f;
+    _Pragma("unroll 1") for (int k = 0; k < LAYER_CORNERS; ++k) {
+      const floatN layer = depth_of_values(scene, v, x, y, z, shows, layer_corner(layers, k));
+      row = k & 1 ? row + layers.share * (layer - row) : layer;
+      if (k == 1) e.d = row;
+      if (k == 3) e.d += layers.row_share * (row - e.d);
+    }
 #endif
 #if OPACITY_FACTORS
     weigh_by_gradient(scene, &e, gradient, direction);

@@ -63,6 +63,9 @@ def _rays(image: ImageSettings) -> str:
     how = f"image.samples is {image.samples}, {image.sample_pattern}, weighed by the {image.pixel_filter}"
     if not image.refines:
         return f"{how}, in all pixels"
+    if image.refine == "graded":
+        least = f"{image.edge_threshold:g} or more (half of them below three times that)"
+        return f"{how}, and 1, where pixels differ by {least} from what lies between their neighbours; elsewhere 1"
     return f"{how}, where pixels differ by {image.edge_threshold:g} or more as displayed; elsewhere 1"
 
 

@@ -14,6 +14,7 @@ from clvol.device.effect_switches import effect_switches
 from clvol.device.environment import environment_maps
 from clvol.device.environment_file import load_radiance
 from clvol.device.fields import SceneFields
+from clvol.device.glow import glow_rows
 from clvol.device.light_volume import (
     METHODS,
     casting_lights,
@@ -35,6 +36,7 @@ from clvol.device.projection import (
 from clvol.device.volume import ResidentVolume
 from clvol.features import GRADIENTS
 from clvol.features.gradient_storage import DeviceLimits
+from clvol.features.values import reachable
 from clvol.features.vocabulary import CLIPS, EFFECT_COUNTERS, LIGHTS
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.opencl.structs import EFFECTS
@@ -134,7 +136,11 @@ class EffectState:
             rows = factor_rows(getattr(resolved, name), per_edge)
             numbers[f"{name}_points"], numbers[f"{name}_table"] = rows.shape[1], place(rows)
         places = layer_places(resolved, per_edge)
-        numbers["layer_count"], numbers["layer_table"] = places.size, place(places)
+        numbers["layer_count"], numbers["layer_table"] = places[0].size, place(np.concatenate(places))
+        numbers["layer_rows"] = places[-1].size if len(places) > 1 else 1
+        if resolved.glow is not None:
+            rows = glow_rows(resolved.glow, volume.values, reachable(resolved), self.space.unit)
+            numbers["glow_points"], numbers["glow_table"] = rows.shape[1], place(rows)
         if resolved.fields:
             self.fields = SceneFields(self.context, resolved, volume.cells, place, numbers)
             self.arrays["fields"] = self.fields.voxels

@@ -13,6 +13,7 @@ from clvol.device.noise import TARGETS
 from clvol.device.opacity_factors import factor_switches
 from clvol.features import COMPOSITINGS, GRADIENTS, emits, is_lit
 from clvol.features.gradient_storage import UNLIMITED, DeviceLimits
+from clvol.features.opacity import has_gradient_layers
 from clvol.scene.resolve import ResolvedScene
 
 
@@ -30,7 +31,7 @@ def effect_switches(
     surfaces = resolved.isosurfaces
     refracts = any(surface.refraction != 1.0 for surface in surfaces)
     factors = resolved.gradient_opacity is not None or resolved.directional_opacity is not None
-    decides = factors or bool(resolved.transfer_layers)
+    decides = factors or has_gradient_layers(resolved)
     switches = {
         "LIGHTING": int(lit),
         "LIGHTS": int(bool(resolved.lights)),
@@ -45,12 +46,14 @@ def effect_switches(
         **field_switches(resolved),
         "NOISE": _noise(resolved),
         **shadow_switches(resolved),
+        **({"GLOW": 1} if resolved.glow is not None else {}),
         "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides else 0,
     }
     if not any(switches.values()):
         return {}
     # Opacities of whole segments are enough where no effect cuts segments or changes their extinction.
     changed = decides or surfaces or resolved.fields or resolved.integration.classification == "pre"
+    changed = changed or resolved.glow is not None
     return {
         "EFFECTS": 1,
         "TRANSLUCENT": int(is_translucent(resolved)),

@@ -108,7 +108,7 @@ class _Part:
         if field.role == "label":
             table = np.column_stack([_present(field.colors), _present(field.factors)])
             row["table"] = place(np.vstack([[0.0, 0.0, 0.0, 1.0], table]))
-        elif field.role == "color":
+        elif field.role in ("color", "value"):
             row["table"] = 0
         elif field.role == "mask":
             row["threshold"] = float(self.values(_present(field.threshold)))

@@ -8,7 +8,7 @@ import numpy as np
 
 from clvol.device.memory import ValueMap, value_map
 from clvol.device.noise import perturbation
-from clvol.device.opacity_factors import layer_functions
+from clvol.device.opacity_factors import shown_function
 from clvol.features import overshoot
 from clvol.features.values import reachable
 from clvol.scene.integration import Integration
@@ -16,7 +16,6 @@ from clvol.scene.resolve import ResolvedScene
 from clvol.transfer import TransferFunction
 from clvol.transfer.cycle import cycled
 from clvol.transfer.lookup_nodes import LookupNodes, lookup_nodes
-from clvol.transfer.opacity_envelope import opacity_envelope
 from clvol.transfer.pieces import MOST_IN_REGISTERS, columns, has_opaque_point, piece_count
 
 _NODES, CONSTANT_NODES = 256, 4096  # numbers of values that maps of empty space distinguish
@@ -64,7 +63,7 @@ def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = Non
             more, integer = more + _noise_range(resolved, high - low), False
         low, high = low - more, high + more
     return lookup_nodes(
-        device_function(opacity_envelope(layer_functions(resolved, function)), values),
+        device_function(shown_function(resolved, function), values),
         (low, high),
         _NODES if preintegrated else CONSTANT_NODES,
         integer=integer,

@@ -16,6 +16,7 @@ from clvol.features import (
     emission,
     fields,
     filters,
+    glow,
     gradients,
     half_angle,
     lighting,
@@ -52,6 +53,8 @@ NAMES = (
     "gradient opacity",
     "directional opacity",
     "two-dimensional transfer function",
+    "joint transfer function",
+    "associated colours",
     "label field",
     "density field",
     "mask field",
@@ -63,7 +66,7 @@ NAMES = (
 )
 # Each pass analyses the scene as reduced by the passes before it.
 _PASSES = (
-    filters, emission, fields, noise, clipping, surfaces, opacity, lighting, shadows, half_angle, depth_cue,
+    filters, glow, emission, fields, noise, clipping, surfaces, opacity, lighting, shadows, half_angle, depth_cue,
     gradients,
 )  # fmt: skip
 

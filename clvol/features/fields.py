@@ -20,19 +20,21 @@ _DOES = {
     "density": "with opacity of its own",
     "mask": "that may cut the volume",
     "color": "of colours of voxels",
+    "value": "in a joint transfer function",
 }
 _found: WeakKeyDictionary = WeakKeyDictionary()  # volume: {labels: whether any of them occurs}
 
 
 def analyse(found: Findings) -> None:
     kept: list[ResolvedField] = []
-    reasons: dict[str, list[str]] = {"label": [], "density": [], "mask": [], "color": []}
+    reasons: dict[str, list[str]] = {"label": [], "density": [], "mask": [], "color": [], "value": []}
     for field in found.scene.fields:
         idle = _idle(field, found)
         if idle is None:
             kept.append(field)
         else:
             reasons[field.role].append(idle)
+    del reasons["value"]
     for role, why in reasons.items():
         used = sum(field.role == role for field in kept)
         found.note(_effect(role, used, why))
@@ -52,6 +54,8 @@ def _idle(field: ResolvedField, found: Findings) -> str | None:
         reason = _mask_keeps_all(field, found.scene)
     elif found.projection:
         return f"{found.projection} shows values of the volume alone"
+    elif field.role == "value":
+        reason = None  # known with the layers of the function
     elif field.role == "label":
         reason = _no_label(field, found)
     elif field.role == "color":

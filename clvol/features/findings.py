@@ -80,8 +80,11 @@ def has_values(scene: ResolvedScene) -> bool:
 def emits(scene: ResolvedScene) -> bool:
     """Whether the transfer function, including its layers, can show any of the volume."""
     functions = [scene.transfer_function]
-    if scene.integration.compositing == "over" and not has_no_gradient(scene):
+    by_gradient = any(not layer.values for layer in scene.transfer_layers)
+    if scene.integration.compositing == "over" and not (by_gradient and has_no_gradient(scene)):
         functions += [layer.function for layer in scene.transfer_layers]
+    if scene.glow is not None:
+        functions.append(scene.glow.shape)
     low, high = reachable(scene)
     return has_values(scene) and any(shows(function, low, high) for function in functions)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from clvol.features.effect import joined, no, yes
 from clvol.features.findings import Findings
 from clvol.features.gradient_storage import UNLIMITED, chosen_storage
+from clvol.features.opacity import has_gradient_layers
 from clvol.features.vocabulary import ANALYTIC
 from clvol.scene.gradient import GradientSettings
 from clvol.scene.resolve import ResolvedScene
@@ -17,7 +18,7 @@ def uses_of_gradients(scene: ResolvedScene, lit: bool) -> list[str]:
         "refraction": any(surface.refraction != 1 for surface in scene.isosurfaces),
         "gradient opacity": scene.gradient_opacity is not None,
         "directional opacity": scene.directional_opacity is not None,
-        "the two-dimensional transfer function": bool(scene.transfer_layers),
+        "the two-dimensional transfer function": has_gradient_layers(scene),
     }
     return [use for use, is_there in uses.items() if is_there]
 

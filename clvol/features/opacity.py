@@ -8,6 +8,7 @@ from clvol.features.effect import Effect, counted, no, yes
 from clvol.features.findings import Findings, has_no_gradient
 from clvol.features.values import steepest
 from clvol.scene.opacity_factor import OpacityFactor
+from clvol.scene.resolve import ResolvedScene
 
 
 def analyse(found: Findings) -> None:
@@ -20,10 +21,19 @@ def analyse(found: Findings) -> None:
         found.note(effect)
         if factor is not None and not effect.called_for:
             found.change(**{key: None})
-    effect = _layers(found)
-    found.note(effect)
+    layers, joint = "two-dimensional transfer function", "joint transfer function"
+    is_joint = found.scene.transfer_layers and not has_gradient_layers(found.scene)
+    effect = _layers(found, joint if is_joint else layers)
+    found.note(no(layers, "the scene has no transfer layer by gradient magnitude"))
+    found.note(no(joint, "the scene has no field of role 'value'"), effect)
     if found.scene.transfer_layers and not effect.called_for:
-        found.change(transfer_layers=())
+        without = tuple(field for field in found.scene.fields if field.role != "value")
+        found.change(transfer_layers=(), fields=without if is_joint else found.scene.fields)
+
+
+def has_gradient_layers(scene: ResolvedScene) -> bool:
+    """Whether the scene's function has layers by gradient magnitude."""
+    return bool(scene.transfer_layers) and not scene.transfer_layers[0].values
 
 
 def _factor(found: Findings, name: str, factor: OpacityFactor | None) -> Effect:
@@ -46,14 +56,14 @@ def _is_one_up_to(factor: OpacityFactor, largest: float) -> bool:
     return bool(np.all(within == 1) and np.all(np.asarray(ends) == 1))
 
 
-def _layers(found: Findings) -> Effect:
-    name, scene = "two-dimensional transfer function", found.scene
+def _layers(found: Findings, name: str) -> Effect:
+    scene = found.scene
     layers = scene.transfer_layers
     if not layers:
         return no(name, "the scene has no transfer layer")
     if all(layer.function == scene.transfer_function for layer in layers):
         return no(name, "every layer is the transfer function itself")
-    if has_no_gradient(scene):
+    if has_gradient_layers(scene) and has_no_gradient(scene):
         return no(name, "the volume has no gradient")
     idle = _nothing_to_weight(found)
     return no(name, idle) if idle else yes(name, counted(len(layers), "layer"))

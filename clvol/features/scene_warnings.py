@@ -42,7 +42,7 @@ def _scene_warnings(resolved: ResolvedScene) -> list[ClvolWarning]:
     warnings = [_preset(resolved)]
     if found.blank:
         warnings.append(_blank(resolved) if warnings == [None] else None)
-    elif warnings == [None] and found.emits and not resolved.transfer_layers:
+    elif warnings == [None] and found.emits and not resolved.transfer_layers and resolved.glow is None:
         warnings.append(_narrow_data(resolved) or _narrow_function(resolved))
         if found.projection is None:
             warnings += [_unit_too_large(resolved, found), _unit_too_small(resolved)]

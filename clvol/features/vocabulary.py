@@ -27,8 +27,10 @@ ACCUMULATE = {"float32": 0, "half": 1, "uint8": 2}
 SHADOW_METHODS = {"rays": 1, "volume": 2, "half-angle": 3}
 # Bits of OPACITY_FACTORS.
 OPACITY_FACTORS = {"gradient": 1, "directional": 2}
+# What layers of a transfer function are stated by: TRANSFER_LAYERS.
+TRANSFER_LAYERS = {"by-gradient": 1, "of-two": 2, "of-three": 3}
 # Roles of fields, and bits of FIELDS.
-FIELD_ROLES = {"label": 1, "density": 2, "mask": 4, "color": 8}
+FIELD_ROLES = {"label": 1, "density": 2, "mask": 4, "color": 8, "value": 16}
 # What a term of noise perturbs; bit 1 << n of NOISE says whether any does.
 NOISE_TARGETS = {"value": 0, "coordinate": 1}
 LIGHTS = {"directional": 0, "point": 1, "headlight": 2}

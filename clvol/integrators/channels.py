@@ -32,6 +32,7 @@ _REFUSED = {
     "density field": "a medium that would be added to each channel",
     "environment background": "a background that would be added for each channel",
     "two-dimensional transfer function": "layers of one channel's function",
+    "joint transfer function": "layers of one channel's function",
 }
 
 

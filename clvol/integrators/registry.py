@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from clvol.errors import SceneError
 from clvol.features.compression import check_compression
+from clvol.features.glow import check_glow
 from clvol.features.refuse import check_effects
 from clvol.integrators.base import Integrator
 from clvol.integrators.channels import check_channels
@@ -55,6 +56,7 @@ def check_scene(resolved: ResolvedScene) -> None:
 def _check_scene(resolved: ResolvedScene) -> None:
     integrator = integrator_of(resolved)
     check_effects(resolved)
+    check_glow(resolved)
     check_compression(resolved)
     check_decoding(resolved, integrator)
     integrator.check(resolved)

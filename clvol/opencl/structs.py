@@ -150,8 +150,8 @@ EFFECTS = struct(
     ("float", "shadow_bound shadow_step shadow_depth scattering"),
     ("int", "light_count surface_count kept_clips removed_clips first_light first_surface first_clip"),
     ("int", "diffuse_map_size specular_map_size sky_map_size diffuse_map specular_map sky_map"),
-    ("int", "gradient_opacity_points directional_opacity_points layer_count"),
+    ("int", "gradient_opacity_points directional_opacity_points layer_count layer_rows"),
     ("int", "gradient_opacity_table directional_opacity_table layer_table"),
-    ("int", "field_count added_terms moving_terms"),
+    ("int", "field_count added_terms moving_terms glow_points glow_table"),
 )
 """``Effects`` of cl/effects.h."""

@@ -81,7 +81,7 @@ def describe_overlay(resolved: ResolvedScene, camera: Camera) -> Description:
 
     Directions have anatomical names where the file's frame does and its header states where the voxels lie: headers
     with nothing but defaults are those of converted files, and letters would say what nobody knows."""
-    of = resolved.transfer_function, resolved.overlay, resolved.isosurfaces, resolved.axis
+    of = resolved.displayed_function, resolved.overlay, resolved.isosurfaces, resolved.axis
     known = _described.get(resolved.volume)
     if known is None or any(a is not b for a, b in zip(known[0], of)):
         known = _described[resolved.volume] = of, _described_anew(resolved, camera)
@@ -95,7 +95,7 @@ _described: WeakKeyDictionary[Volume, tuple[tuple[Any, ...], Description]] = Wea
 
 
 def _described_anew(resolved: ResolvedScene, camera: Camera) -> Description:
-    volume, function = resolved.volume, resolved.transfer_function
+    volume, function = resolved.volume, resolved.displayed_function
     axis = resolved.axis
     low, high = axis.span(resolved.data_range)
     counts: tuple[int, ...] = ()

@@ -29,6 +29,8 @@ def picture_warning(
 ) -> ClvolWarning | None:
     """The warning about a picture [height, width] of ``resolved`` from ``camera`` that has no other warning."""
     alpha = rgba[..., 3]
+    if resolved.glow is not None and rgba[..., :3].max(initial=0.0) >= BLANK:
+        return None
     spacing = [max(1, n // _PIXELS) for n in alpha.shape]
     some = alpha[:: spacing[0], :: spacing[1]]
     if some.max(initial=0.0) < BLANK:

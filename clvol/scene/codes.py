@@ -34,6 +34,14 @@ def in_stored_values(resolved: ResolvedScene) -> ResolvedScene:
     ``axis`` of the result maps stored numbers back to values, for messages.
     """
     fields = tuple(_field_in_stored(field) for field in resolved.fields)
+    by_value = [field for field in resolved.fields if field.role == "value"]
+    if any(not field.volume.axis.is_plain for field in by_value):
+        codes = [code_of(axis, volume.dtype) for volume, axis in (field.volume.plain for field in by_value)]
+        layers = tuple(
+            replace(layer, values=tuple(float(code(x)) for code, x in zip(codes, layer.values)))
+            for layer in resolved.transfer_layers
+        )
+        resolved = replace(resolved, transfer_layers=layers)
     if any(a is not b for a, b in zip(fields, resolved.fields)):
         resolved = replace(resolved, fields=fields)
     channels = tuple(_channel_in_stored(channel) for channel in resolved.channels)
@@ -78,8 +86,10 @@ def in_codes(resolved: ResolvedScene, code: Code, per_value: float) -> dict[str,
         )
         for layer in resolved.transfer_layers
     )
+    glow = resolved.glow
     return {
         "transfer_function": function_in_codes(resolved.transfer_function, code),
+        "glow": glow and replace(glow, values=np.clip(code(glow.values), -_LARGEST, _LARGEST)),
         "isosurfaces": tuple(level(surface) for surface in resolved.isosurfaces),
         "material": scaled(resolved.material, "fade"),
         "gradient_opacity": factor(resolved.gradient_opacity),
@@ -116,6 +126,8 @@ def _field_in_stored(field: ResolvedField) -> ResolvedField:
         changed["threshold"] = float(code(field.threshold))
     elif field.role == "color":
         return field
+    elif field.role == "value":
+        changed["base"] = float(code(field.base))
     elif field.role == "density":
         changed["function"] = function_in_codes(field.function, code)
     else:

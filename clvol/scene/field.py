@@ -29,7 +29,7 @@ from clvol.volume.volume import Volume
 LARGEST_COUNT = 3
 LARGEST_LABELS = 65536
 _LARGEST_LABEL = 2**53 - 1  # float64 does not distinguish larger labels
-_READ_BY = {"label": "labels", "density": "points", "mask": None, "color": None}
+_READ_BY = {"label": "labels", "density": "points", "mask": None, "color": None, "value": None}
 _NEEDED = {
     "labels": "a list of labels { label = …, color = [r, g, b] }, or labels_file, for a field of role 'label'",
     "points": "a list of points { value = …, opacity = …, color = [r, g, b] } for role 'density'",
@@ -52,14 +52,13 @@ class ResolvedField:
     """A field with its volume. Attributes that its role does not read keep their defaults.
 
     The role "label" reads ``labels`` (int64 [n], ascending, distinct), ``colors`` (float64 [n, 3], linear light) and
-    ``factors`` (float64 [n] in [0, 1], on the extinction). "density" reads ``function``, "mask" ``threshold``
-    and ``keep``, "color" ``colors_of_voxels``. All numbers are in the stored numbers of ``volume``; ``axis`` maps
-    them to the values of the requested
-    volume.
+    ``factors`` (float64 [n] in [0, 1], on the extinction). "density" reads ``function``, "mask" ``threshold`` and
+    ``keep``, "color" ``colors_of_voxels``, "value" ``base``. All numbers are in the stored numbers of ``volume``;
+    ``axis`` maps them to the values of the requested volume.
     """
 
     volume: Volume
-    role: Literal["label", "density", "mask", "color"]
+    role: Literal["label", "density", "mask", "color", "value"]
     labels: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
     colors: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
     factors: np.ndarray = field(default_factory=lambda: np.empty(0))
@@ -68,6 +67,7 @@ class ResolvedField:
     keep: Literal["above", "below"] = "above"
     axis: ValueAxis = ValueAxis()
     colors_of_voxels: Colors | None = None
+    base: float = 0.0
     labels_path: Path | None = None  # the table that labels come from
 
 
@@ -101,7 +101,7 @@ def _file(value: Any, check: Callable[[Any], Any]) -> Any:
 
 
 class FieldSettings(Table):
-    """A further volume, in the role "label", "density", "mask" or "color".
+    """A further volume, in the role "label", "density", "mask", "color" or "value".
 
     ``file`` is relative to the scene file; from Python it may be a ``clvol.Volume``. ``channel``, ``time`` and
     ``series`` select one of several in the file, as in [volume].
@@ -111,7 +111,8 @@ class FieldSettings(Table):
     each of ``labels`` has its own colour; other labels keep the look of the volume. "density": ``points``, whose
     opacities refer to the opacity_unit of [transfer_function], add to the volume's extinction and emission. "mask":
     the volume is kept where the field is ``keep`` ("above" or "below") the ``threshold``. "color": the colours of its
-    voxels (red, green and blue, perhaps alpha) take the place of the transfer function's.
+    voxels (red, green and blue, perhaps alpha) take the place of the transfer function's. "value": a further value of a
+    joint transfer function, whose layers are [[transfer_layer]]s with ``values``.
     """
 
     file: Annotated[
@@ -142,9 +143,9 @@ class FieldSettings(Table):
         description="the index (from 0) or the name of a series",
         examples=[0],
     )
-    role: Literal["label", "density", "mask", "color"] = Field(
+    role: Literal["label", "density", "mask", "color", "value"] = Field(
         title="What the field does: colour by label or by voxel, add a second medium, or mask the volume.",
-        description="'label', 'density', 'mask' or 'color'",
+        description="'label', 'density', 'mask', 'color' or 'value'",
         examples=["label"],
     )
     labels: Annotated[tuple[FieldLabel, ...], AsTuple] | None = Field(
@@ -179,6 +180,13 @@ class FieldSettings(Table):
         description="'above' or 'below'",
     )
 
+    base: Number | None = Field(
+        None,
+        title="Value of the field at which [transfer_function] holds, for the role 'value'; by default its lowest.",
+        description="a finite number",
+        examples=[0.0],
+    )
+
     @classmethod
     def table_name(cls) -> str:
         return "field"
@@ -198,6 +206,8 @@ class FieldSettings(Table):
             if self.role != "mask" and key in self.model_fields_set:
                 got = getattr(self, key)
                 raise wrong(key, got, f"no {key} for a field of role {self.role!r}")
+        if self.role != "value" and self.base is not None:
+            raise wrong("base", self.base, f"no base for a field of role {self.role!r}")
         if self.points is not None:
             check_points(self.points)
         if self.labels is not None:
@@ -242,6 +252,8 @@ class FieldSettings(Table):
         ``folder``. Raises SceneError for a label table that cannot be read."""
         if self.role == "mask":
             return ResolvedField(volume, "mask", threshold=self.threshold, keep=self.keep)
+        if self.role == "value":
+            return ResolvedField(volume, "value", base=volume.value_range[0] if self.base is None else self.base)
         if self.role == "color":
             if volume.colors is None:
                 raise SceneError("field", "a volume of one value per voxel for the role 'color'", "colours of voxels")

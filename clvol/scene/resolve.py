@@ -32,6 +32,8 @@ from clvol.scene.depth_cue import DepthCue
 from clvol.scene.display import Display
 from clvol.scene.environment import Environment
 from clvol.scene.field import ResolvedField
+from clvol.scene.generated import generated_function
+from clvol.scene.glow import Glow, with_glow
 from clvol.scene.gradient import GradientSettings
 from clvol.scene.image import ImageSettings
 from clvol.scene.integration import Integration
@@ -48,7 +50,7 @@ from clvol.scene.slicing import Slicing
 from clvol.scene.step_times import StepTimes
 from clvol.scene.table import shown
 from clvol.scene.transfer_function import TransferFunctionSettings
-from clvol.scene.transfer_layer import TransferLayer
+from clvol.scene.transfer_layer import TransferLayer, in_rows
 from clvol.scene.volume import VolumeSettings
 from clvol.store.zarr_store import check_finished
 from clvol.transfer import TransferFunction
@@ -102,6 +104,7 @@ class ResolvedScene:
     gradient_opacity: OpacityFactor | None = None
     directional_opacity: OpacityFactor | None = None
     transfer_layers: tuple[TransferLayer, ...] = ()
+    glow: Glow | None = None  # the light of associated colours; ``transfer_function`` is then black
     fields: tuple[ResolvedField, ...] = ()
     noise: tuple[Noise, ...] = ()
     depth_cue: DepthCue | None = None
@@ -133,6 +136,16 @@ class ResolvedScene:
         for field in self.fields:
             named += field.colors_of_voxels.channels if field.colors_of_voxels is not None else ()
         return tuple({id(volume): volume for volume in named}.values())
+
+    @property
+    def displayed_function(self) -> TransferFunction:
+        """The transfer function with the colours that it is stated with, also where they are associated."""
+        function = self.transfer_function
+        if self.glow is None:
+            return function
+        brightest = max(float(self.glow.light.max()), 1e-300)
+        colors = np.clip(self.glow.light / brightest, 0.0, 1.0)
+        return TransferFunction(function.values, function.opacities, colors, function.opacity_unit)
 
     @property
     def data_range(self) -> tuple[float, float]:
@@ -169,6 +182,12 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
             volume.value_range, default_opacity_unit(volume.grid), scene.folder, scene.origin
         )
         is_linear = settings.color_space == "linear"
+    generated: tuple[TransferLayer, ...] = ()
+    if isinstance(given, TransferFunctionSettings) and given.generator is not None:
+        function, generated = generated_function(scene, given, scene.first_picture(memory_cap).sample)
+    glow = None
+    if isinstance(given, TransferFunctionSettings) and given.associated:
+        function, glow = with_glow(function, given.emission)
 
     def decoded(color: ArrayLike) -> np.ndarray:
         return in_linear_light(color, is_linear)
@@ -212,7 +231,8 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         shadow=scene.shadow,
         gradient_opacity=None if scene.gradient_opacity is None else scene.gradient_opacity.factor(),
         directional_opacity=None if scene.directional_opacity is None else scene.directional_opacity.factor(),
-        transfer_layers=tuple(layer.layer(unit, decoded) for layer in scene.transfer_layer),
+        transfer_layers=generated or _layers(scene, fields, unit, decoded),
+        glow=glow,
         fields=tuple(fields),
         channels=() if mixes or len(channels) == 1 else channels,
         mixed_channels=len(channels) if mixes else 0,
@@ -241,6 +261,19 @@ def _channels(
         ResolvedChannel(volume, settings.function(opacity_unit, decoded), settings.name(number))
         for number, (settings, volume) in enumerate(zip(scene.channel, scene.load_channels(memory_cap)))
     )
+
+
+def _layers(
+    scene: Scene, fields: list[ResolvedField], unit: float, decoded: Callable[[ArrayLike], np.ndarray]
+) -> tuple[TransferLayer, ...]:
+    layers = tuple(layer.layer(unit, decoded) for layer in scene.transfer_layer)
+    bases = [field.base for field in fields if field.role == "value"]
+    where = f"{scene.origin}: transfer_layer"
+    wrong = next((layer.values for layer in layers if len(layer.values) != len(bases)), None)
+    if wrong is not None or (bases and not layers):
+        what = f"{len(wrong or ())} values beside {len(bases)} fields of role 'value'"
+        raise SceneError(where, what, "values = [one for each field of role 'value'], at most two")
+    return in_rows(layers, bases, where) if bases else layers
 
 
 def _surface(surface: Isosurface, decoded: Callable[[ArrayLike], np.ndarray]) -> Isosurface:

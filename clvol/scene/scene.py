@@ -347,7 +347,7 @@ class Scene(Table):
         if self.integration.prefilter and filter != "cubic":
             expected = f"false with the filter {filter!r}, or the filter 'cubic'"
             raise wrong("integration.prefilter", True, expected)
-        magnitudes = [0.0, *(layer.magnitude for layer in self.transfer_layer)]
+        magnitudes = [0.0, *(each.magnitude for each in self.transfer_layer if each.magnitude is not None)]
         for i in range(1, len(magnitudes)):
             if not magnitudes[i - 1] < magnitudes[i]:
                 expected = f"ascending magnitudes, here more than {magnitudes[i - 1]}"

@@ -69,7 +69,8 @@ VOCABULARY = {
     "QUADRATURE": QUADRATURES, "STEPPING": STEPPINGS, "SLICES": SLICES,
     "ACCUMULATE": vocabulary.ACCUMULATE, "ORACLE": ORACLES, "SHADOWS": vocabulary.SHADOW_METHODS,
     "OPACITY_FACTOR": vocabulary.OPACITY_FACTORS, "FIELD": vocabulary.FIELD_ROLES,
-    "NOISE_TARGET": vocabulary.NOISE_TARGETS, "LIGHT": vocabulary.LIGHTS, "CLIP": vocabulary.CLIPS,
+    "LAYERS": vocabulary.TRANSFER_LAYERS, "NOISE_TARGET": vocabulary.NOISE_TARGETS,
+    "LIGHT": vocabulary.LIGHTS, "CLIP": vocabulary.CLIPS,
     "CODEC": vocabulary.BLOCK_CODECS, "CELL": vocabulary.CELLS, "CODE": {"dropped": vocabulary.CODE_DROPPED},
     "MOST": {"fields": MOST_FIELDS, "noise-terms": MOST_NOISE_TERMS, "halves": MOST_HALVES, "levels": MOST_LEVELS},
 }  # fmt: skip

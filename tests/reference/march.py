@@ -174,7 +174,11 @@ class _March:
             color[seen], segment.middle[seen], segment.gradient[seen], rays.direction[n[seen]],
             weight=weight[seen], cut_normal=normal[seen], cut_share=share[seen],
         )  # fmt: skip
-        return self._cued(color, rays.travelled[n] + tm), segment.depth
+        depth = segment.depth
+        if self.medium.glow is not None:  # light without opacity is that of hardly any
+            depth = np.maximum(depth, 1e-30)
+            color = np.where(seen[:, None], color, 0.0) + segment.light / depth[:, None]
+        return self._cued(color, rays.travelled[n] + tm), depth
 
     def _surface(self, rays, n, t, surface, rising) -> np.ndarray:
         """Composites crossings of the rays ``n`` at ``t``; which of them were bent there.

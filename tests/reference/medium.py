@@ -22,6 +22,7 @@ class Segment:
     depth: np.ndarray
     middle: np.ndarray
     gradient: np.ndarray
+    light: np.ndarray | float = 0.0  # of associated colours, emitted by the segment [n, 3]
 
 
 class Medium:
@@ -50,13 +51,34 @@ class Medium:
         shift = animation.cycle * self.time if animation.cycle else None
         layers = [(0.0, resolved.transfer_function)]
         layers += [(layer.magnitude, layer.function) for layer in resolved.transfer_layers]
+        self.joint = [] if not layers[1:] else self._grid_of_layers(resolved)
         self.layers_at = np.array([magnitude for magnitude, _ in layers])
         self.functions = [
             classify.MovedFunction(function, self.value_range, shift) for _, function in layers
         ]
         self.gradient_opacity = resolved.gradient_opacity
         self.directional_opacity = resolved.directional_opacity
+        self.glow = resolved.glow
         self.fields = [(field, _sampler(field)) for field in resolved.fields]
+
+    @staticmethod
+    def _grid_of_layers(resolved) -> list:
+        """(sampler, base, values ascending) of each field of a joint function."""
+        fields = [field for field in resolved.fields if field.role == "value"]
+        points = [layer.values for layer in resolved.transfer_layers]
+        return [
+            (_sampler(field), field.base, np.unique([field.base, *(point[k] for point in points)]))
+            for k, field in enumerate(fields)
+        ]
+
+    def _joint_weights(self, world: np.ndarray) -> np.ndarray:
+        """Weights [n, layers] of the functions of a joint function: products of hats over each field's values."""
+        weights = np.ones((len(world), 1))
+        for sampler, base, at in self.joint:
+            value = np.where(sampler.inside(world), sampler(world), np.nan)
+            along = classify.layer_weights(np.where(np.isfinite(value), value, base), at)
+            weights = (along[:, None, :] * weights[:, :, None]).swapaxes(1, 2).reshape(len(world), -1)
+        return weights
 
     def value(self, world: np.ndarray) -> np.ndarray:
         """The field's value [n] at [n, 3], noise included; NaN where there is none."""
@@ -118,7 +140,7 @@ class Medium:
         if len(parts) == 1:
             color, depth = parts[0]
         else:
-            weights = classify.layer_weights(slope, self.layers_at)
+            weights = self._joint_weights(middle) if self.joint else classify.layer_weights(slope, self.layers_at)
             parts = [(c, d * w) for (c, d), w in zip(parts, weights.T)]
             color, depth = classify.combined(parts)
         if self.gradient_opacity is not None:
@@ -128,7 +150,41 @@ class Medium:
             along = np.where(np.isfinite(along), along, 0.0)
             depth = depth * _factor(self.directional_opacity, along)
         color, depth = self._with_fields(color, depth, start, middle, end, length)
-        return Segment(color, depth, middle, gradient)
+        light: np.ndarray | float = 0.0
+        if self.glow is not None:
+            light = self._light(start, middle, end, length, before, curved, steps)
+            light = light * self.kept_share(start, end)[:, None]
+        return Segment(color, depth, middle, gradient, light)
+
+    def _light(self, start, middle, end, length, before, curved, steps) -> np.ndarray:
+        """What associated colours emit along the chord of each segment [n, 3]: differences of their integral."""
+        if self.classification == "preintegrated":
+            front, back = self._chord(start, end, before, curved, steps)
+        else:
+            front = back = self.value(middle)
+        known = np.isfinite(front) & np.isfinite(back)
+        front, back = (np.where(known, each, self.glow.values[0]) for each in (front, back))
+        low, high = np.minimum(front, back), np.maximum(front, back)
+        even = high - low < 1e-9 * max(np.ptp(self.glow.values), 1.0)
+        mean = (self._emitted_up_to(high) - self._emitted_up_to(low)) / np.where(even, 1.0, high - low)[:, None]
+        mean = np.where(even[:, None], self._emitted(0.5 * (low + high)), mean)
+        return np.where(known[:, None], mean, 0.0) * length[:, None]
+
+    def _emitted(self, value: np.ndarray) -> np.ndarray:
+        """Light [n, 3] at values [n]; of two points at one value the later one holds there."""
+        at = np.searchsorted(self.glow.values, value, side="right")
+        low, high = np.clip(at - 1, 0, None), np.clip(at, None, len(self.glow.values) - 1)
+        span = self.glow.values[high] - self.glow.values[low]
+        share = np.clip((value - self.glow.values[low]) / np.where(span > 0, span, 1.0), 0.0, 1.0)[:, None]
+        return self.glow.light[low] + share * (self.glow.light[high] - self.glow.light[low])
+
+    def _emitted_up_to(self, value: np.ndarray) -> np.ndarray:
+        """The integral [n, 3] of the light from the first point to values [n]."""
+        values, light = self.glow.values, self.glow.light
+        pieces = 0.5 * np.diff(values)[:, None] * (light[1:] + light[:-1])
+        sums = np.concatenate([np.zeros((1, 3)), np.cumsum(pieces, axis=0)])
+        last = np.clip(np.searchsorted(values, value, side="right") - 1, 0, None)
+        return sums[last] + 0.5 * (value - values[last])[:, None] * (light[last] + self._emitted(value))
 
     def is_kept(self, world: np.ndarray) -> np.ndarray:
         """Whether all masks keep these places [n, 3]: bool [n]."""
@@ -153,13 +209,18 @@ class Medium:
         if self.classification == "post":
             value = self.value(middle)
             return [classify.of_value(f, value, length) for f in self.functions]
+        front, back = self._chord(start, end, before, curved, steps)
+        return [classify.of_chord(f, front, back, length) for f in self.functions]
+
+    def _chord(self, start, end, before, curved, steps) -> tuple[np.ndarray, np.ndarray]:
+        """The values between which a segment is integrated."""
         front, back = self.value(start), self.value(end)
         if curved is not None and curved.any():
             shifted = classify.curvature_shift(
                 self.value(before), front, back, steps, self.field.filter
             )
             front, back = (np.where(curved, s, v) for s, v in zip(shifted, (front, back)))
-        return [classify.of_chord(f, front, back, length) for f in self.functions]
+        return front, back
 
     def _with_fields(self, color, depth, start, middle, end, length):
         for field, sampler in self.fields:

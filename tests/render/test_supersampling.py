@@ -113,14 +113,40 @@ def test_a_pixel_is_the_mean_of_its_rays_and_as_deep_as_the_nearest(device):
     assert np.array_equal(four.depth, large.depth.reshape(SIZE[1], 2, SIZE[0], 2).min(axis=(1, 3)))
 
 
+def test_graded_pixels_are_means_of_the_middle_and_of_two_rays_or_four(device):
+    images = [{}, {"samples": 2, "refine": "all"}, {"samples": 4, "refine": "all"},
+              {"samples": 4, "refine": "graded", "edge_threshold": 0.04}]  # fmt: skip
+    one, two, four, graded = of_image(device, images)
+    three, five = ((n * mean.rgba.astype(np.float64) + one.rgba) / (n + 1) for n, mean in ((2, two), (4, four)))
+    kinds = [np.isclose(graded.rgba, kind, rtol=0, atol=1e-6).all(axis=-1) for kind in (one.rgba, three, five)]
+    assert np.logical_or.reduce(kinds).all()
+    few, many = kinds[1] & ~kinds[0] & ~kinds[2], kinds[2] & ~kinds[0] & ~kinds[1]
+    assert few.sum() > 20 and many.sum() > 20
+    assert np.array_equal(graded.depth[few], np.minimum(one.depth, two.depth)[few])
+    assert np.array_equal(graded.depth[many], np.minimum(one.depth, four.depth)[many])
+    told, pixels = graded.stats["supersampling"], SIZE[0] * SIZE[1]
+    spent = graded.stats["rays"] - pixels
+    assert 2 * told["refined_pixels"] <= spent <= 4 * told["refined_pixels"] and few.sum() + many.sum() <= spent / 2
+    truth = render(device, scene({"samples": 16, "refine": "all"})).rgba
+    assert np.square(graded.rgba - truth).mean() < 0.5 * np.square(one.rgba - truth).mean()
+    (zero,) = of_image(device, [{"samples": 4, "refine": "graded", "edge_threshold": 0.0}])
+    assert np.array_equal(zero.rgba, four.rgba)
+
+
+def test_filters_that_reach_into_neighbours_do_not_go_with_graded_pixels():
+    with pytest.raises(SceneError, match="'edges' or 'all' with a pixel_filter other than 'box'"):
+        scene({"samples": 4, "refine": "graded", "pixel_filter": "tent"})
+
+
 def test_a_picture_without_edges_gets_no_further_ray(device):
     haze = TransferFunction([0.0, 255.0], [0.1, 0.1], [[0.2, 0.5, 0.9], [0.2, 0.5, 0.9]])
     view = axis_camera((11.5, 11.5, 11.5), axis=2, height=12.0)
-    images = [{}, {"samples": 4}, {"samples": 16, "refine": "all"}, {"samples": 4, "pixel_filter": "mitchell"}]
+    images = [{}, {"samples": 4}, {"samples": 16, "refine": "all"}, {"samples": 4, "pixel_filter": "mitchell"},
+              {"samples": 4, "refine": "graded"}]  # fmt: skip
     frames = of_image(device, images, function=haze, camera=view, size=(30, 30))
     for frame in frames[1:]:
         assert np.array_equal(frame.rgba, frames[0].rgba)
-    assert [frame.stats["rays"] for frame in frames] == [900, 900, 16 * 900, 900]
+    assert [frame.stats["rays"] for frame in frames] == [900, 900, 16 * 900, 900, 900]
     assert frames[1].stats["supersampling"]["refined_pixels"] == 0
 
 
@@ -185,7 +211,8 @@ def test_voxels_that_are_not_numbers_are_clear_in_every_ray(device):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_devices_share_rays_and_the_picture_is_the_same(device, method, monkeypatch):
-    made = scene({"samples": 4, "edge_threshold": 0.03}, method)
+    refine = "graded" if method == "raycast" else "edges"
+    made = scene({"samples": 4, "edge_threshold": 0.03, "refine": refine}, method)
     alone = render(device, made)
     monkeypatch.setattr(device_group, "_LEAST_TILES", 1)
     monkeypatch.setattr(renderer_module, "open_contexts", lambda _: [DeviceContext(device) for _ in range(3)])

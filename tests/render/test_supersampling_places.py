@@ -11,7 +11,7 @@ from clvol.render.supersampling.edges import Edges
 from clvol.render.supersampling.pattern import SAMPLES, pattern
 from clvol.render.supersampling.pixel_filter import FILTERS, FilteredPicture
 from clvol.render.supersampling.thin import hidden
-from clvol.transfer.color import linear_to_srgb
+from clvol.transfer.color import linear_to_srgb, srgb_to_linear
 
 BLACK = np.zeros(3)
 
@@ -140,6 +140,41 @@ def test_a_step_in_depth_is_an_edge_and_a_steep_surface_is_not():
         [False, True, True, False, False]
     ]
     assert not edges().find(same, np.array([[10.0, 20, 30, np.inf, np.inf]], np.float32)).any()
+
+
+def test_a_ramp_is_no_bend_and_a_stronger_one_has_the_higher_grade():
+    ramp = edges(0.001).grade(graded_by(np.linspace(0.2, 0.7, 9)), None)
+    assert ramp.tolist() == [[2, *7 * [0], 2]]  # beyond the picture nothing is known: what is there goes on
+    found = edges(0.04).grade(graded_by([0.2, 0.2, 0.25, 0.25, 0.25, 0.6, 0.6, 0.6]), None)
+    assert found.tolist() == [[0, 1, 1, 0, 2, 2, 0, 0]]
+    depth = np.array([[10.0, 10, 10, 30, 30]], np.float32)
+    assert edges().grade(picture(np.full(5, 0.5)), depth).tolist() == [[0, 0, 2, 2, 0]]
+
+
+def graded_by(displayed) -> np.ndarray:
+    """float32 [1, n, 4]: opaque greys that are displayed as these."""
+    return picture(srgb_to_linear(np.asarray(displayed)))
+
+
+def test_pixels_beside_which_nothing_is_drawn_are_compared_like_others():
+    rng = np.random.default_rng(8)
+    for shape in ((1, 1), (9, 7), (12, 1), (1, 15)):
+        for share in (0.0, 0.05, 1.0):
+            rgba = np.where(rng.random(shape)[..., None] < share, rng.random((*shape, 4)), 0).astype(np.float32)
+            depth = np.where(rgba[..., 3] > 0.3, 50 * rng.random(shape), np.inf).astype(np.float32)
+            framed = np.ones((shape[0] + 2, shape[1] + 2, 4), np.float32)  # drawn to the edge: all is compared
+            framed[1:-1, 1:-1] = rgba
+            around = np.pad(depth, 1, constant_values=np.inf)
+            expected = np.zeros(framed.shape[:2], bool)
+            shown, compare = edges().shown(framed), edges()
+            for y in range(1, shape[0] + 1):
+                for x in range(1, shape[1] + 1):
+                    for v, w in ((y - 1, x), (y + 1, x), (y, x - 1), (y, x + 1)):
+                        if 0 < v <= shape[0] and 0 < w <= shape[1]:
+                            one, other = (y, slice(x, x + 1)), (v, slice(w, w + 1))
+                            differ = compare.differ(shown[(slice(None), *one)], shown[(slice(None), *other)])
+                            expected[y, x] |= bool(differ[0] | compare.apart(around[one], around[other])[0])
+            np.testing.assert_array_equal(edges().find(rgba, depth), expected[1:-1, 1:-1])
 
 
 def test_threshold_0_means_all_pixels_and_1_hardly_any():

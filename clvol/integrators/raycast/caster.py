@@ -16,7 +16,7 @@ from clvol.device.empty_space import dilated, distance_map, surface_mask, visibl
 from clvol.device.light_volume import METHODS, fill_light_volume, shadow_step
 from clvol.device.memory import Perturbation
 from clvol.device.noise import perturbation
-from clvol.device.opacity_factors import layer_functions
+from clvol.device.opacity_factors import layer_functions, shown_function
 from clvol.device.projection import hidden_score
 from clvol.device.transfer_lookup import color_shift, cycled_function, device_function, scene_nodes
 from clvol.device.view import EVERY_PIXEL, PixelLattice, PixelList, Pixels, RayFrame
@@ -42,7 +42,6 @@ from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE, bands
 from clvol.transfer import TransferFunction
 from clvol.transfer.lookup_nodes import LookupNodes, visible_cells
-from clvol.transfer.opacity_envelope import opacity_envelope
 from clvol.transfer.pieces import columns, piece_count, piece_table, shown_spans, value_gate
 
 SECONDS_A_SAMPLE = 1e-8  # a first guess, used to divide a frame into launches
@@ -134,7 +133,7 @@ class Raycaster:
     def _find_visible(self) -> None:
         """Finds the cells in which anything can be seen, and what follows from them and from the voxels."""
         resolved, context, function = self.resolved, self.context, self.function
-        mapped = device_function(opacity_envelope(layer_functions(resolved, function)), self.volume.values)
+        mapped = device_function(shown_function(resolved, function), self.volume.values)
         visible = visible_cells(mapped, self.nodes.values)
         self.gate, self.spans = value_gate(mapped), shown_spans(mapped)
         at_nodes = mapped.opacity(self.nodes.values) > 0
@@ -154,6 +153,8 @@ class Raycaster:
             resolved, lanes=self.lanes, skip=self.skip, function=function,
             varies=self.march.varies_steps and isinstance(self.volume, DeviceVolume),
         )
+        if mask.all() and self.switches.get("CONSTANT_CELLS"):
+            self.switches["SKIP_EMPTY"] = 0  # there is nothing to leap over, and rays look at another map
         self.map_cells, self.map_shift = self.volume.cells, self.volume.cell_shift
         self.octant_cells = 0
         self.visible_nodes = visible, at_nodes

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clvol.device.view import EVERY_PIXEL, RayFrame
 from clvol.integrators.base import FrameData, Progress
+from clvol.integrators.raycast.measured_gain import LEAST_PIXELS, MeasuredGain
 from clvol.integrators.raycast.picture import WholePicture
 from clvol.integrators.raycast.reprojection import MARGIN, Move, plan_move
 from clvol.integrators.raycast.same_starts import Facts
@@ -29,6 +31,9 @@ COHERENT_ARGUMENTS = (
 )
 _REUSED, _HOLES, _LATE, _AUDITED = range(4)  # as in cl/coherence.h
 _PAUSE, _LONGEST_PAUSE = 8, 64  # pictures from the hull after one with late starts: at first, and at most
+_NOTHING_REUSED: dict[str, Any] = {
+    "reused_starts": 0, "holes": 0, "late_starts": 0, "samples_saved": 0, "reinitialised": True,
+}  # fmt: skip
 _UNSUPPORTED = (
     ("STEP_CELLS", "steps follow the data"),
     ("QUADRATURE", "quadrature by cells"),
@@ -37,6 +42,7 @@ _UNSUPPORTED = (
     ("WORKERS", "the pyramid"),
     ("BLOCKS", "blocks"),
     ("BRICKS", "codes that stay on the device"),
+    ("GLOW", "associated colours"),
 )
 
 
@@ -52,6 +58,7 @@ class History:
         self.size = (0, 0)
         self.facts: Facts | None = None
         self.audits = 0  # so far
+        self.gain = MeasuredGain()
         self._pause = self._rests = 0  # the last pause in pictures, and what is left of it
         self._arrays: dict[str, DeviceArray] = {}
 
@@ -62,6 +69,13 @@ class History:
         """Starts were late: for a while, longer each time, pictures are rendered from the hull."""
         self._pause = self._rests = min(max(2 * self._pause, _PAUSE), _LONGEST_PAUSE)
 
+    def rests(self) -> str | None:
+        """Why nothing is kept of the next picture, either; the last one before starts are taken again is kept."""
+        if self._rests <= 1:
+            return None
+        self._rests -= 1
+        return "starts were late"
+
     def array(self, name: str, shape: tuple[int, ...], make: Callable[[], DeviceArray]) -> DeviceArray:
         """The array ``name`` that is used for every picture of one size."""
         if name not in self._arrays or self._arrays[name].shape != shape:
@@ -70,11 +84,11 @@ class History:
 
     def move_to(self, caster: Raycaster, frame: RayFrame, size: tuple[int, int], facts: Facts) -> Move | str:
         """How places move from the last picture to this one, or why rays start at the hull."""
-        if self.frame is None or self.facts is None:
-            return "another size" if self.size not in ((0, 0), size) else "the first picture"
         if self._rests:
             self._rests -= 1
             return "starts were late"
+        if self.frame is None or self.facts is None:
+            return "another size" if self.size not in ((0, 0), size) else "the first picture"
         reason = facts.reason_afresh(self.facts)
         if reason is not None:
             return reason
@@ -150,6 +164,16 @@ def render_from_history(
     if refusal is not None:
         data = WholePicture(caster, camera, width, height, depth, EVERY_PIXEL).render(progress)
         return replace(data, notes={**data.notes, "coherence": {"mode": "cells", "reason": refusal}})
+    begun, measured = perf_counter(), width * height >= LEAST_PIXELS
+    reason = history.rests()
+    if reason is None and measured:
+        reason = history.gain.turn()
+    if reason is not None:
+        history.forget()
+        data = WholePicture(caster, camera, width, height, depth, EVERY_PIXEL).render(progress)
+        if measured:
+            history.gain.took(perf_counter() - begun, reused=False)
+        return replace(data, notes={**data.notes, "coherence": _NOTHING_REUSED | {"mode": "cells", "reason": reason}})
     context, size, shape = caster.context, (width, height), (height, width)
     hull = history.array("hull", shape, lambda: context.upload(np.full(shape, np.inf, np.float32)))
     if history.size != size:
@@ -176,6 +200,8 @@ def render_from_history(
         # What the audit found at some pixels may be at others, too.
         data = picture.render_again(data, hull)
         history.found_late()
+    elif measured and reused:
+        history.gain.took(perf_counter() - begun, reused=True)
     history.frame, history.size, history.facts = picture.frame, size, facts
     return replace(data, notes={**data.notes, "coherence": notes})
 

@@ -17,6 +17,7 @@ import numpy as np
 from clvol.device.view import PixelLattice, PixelList
 from clvol.scene import OpacityFactor, ResolvedChannel, ResolvedField, ResolvedScene, TransferLayer
 from clvol.scene.classification import ChosenClassification
+from clvol.scene.glow import Glow
 from clvol.scene.step_times import StepTimes
 from clvol.scene.table import Table
 from clvol.transfer import TransferFunction
@@ -28,8 +29,8 @@ from clvol.volume.volume import Volume
 _TYPES: dict[str, type] = {
     each.__name__: each
     for each in (
-        ChosenClassification, Colors, Grid, OpacityFactor, PixelLattice, PixelList, ResolvedChannel, ResolvedField,
-        ResolvedScene, StepTimes, TransferFunction, TransferLayer, ValueAxis,
+        ChosenClassification, Colors, Glow, Grid, OpacityFactor, PixelLattice, PixelList, ResolvedChannel,
+        ResolvedField, ResolvedScene, StepTimes, TransferFunction, TransferLayer, ValueAxis,
     )  # fmt: skip
 }
 

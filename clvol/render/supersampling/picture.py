@@ -87,7 +87,7 @@ def supersampled(
         return made.for_time(for_seconds, seconds)
     if image.refine == "all" or image.edge_threshold == 0.0:
         return made.everywhere()
-    return made.at_edges()
+    return made.graded() if image.refine == "graded" else made.at_edges()
 
 
 class _Picture:
@@ -100,6 +100,7 @@ class _Picture:
         self._progress = progress
         image = resolved.image
         self._pattern: Pattern = pattern(image.samples, image.sample_pattern)
+        self._half = pattern(max(image.samples // 2, 2), image.sample_pattern)
         self._filter = image.pixel_filter
         self._counts = _Counts()
         self._edges = Edges(image.edge_threshold, resolved.background, resolved.display, self._footprint())
@@ -113,21 +114,24 @@ class _Picture:
 
     # ---- rays
 
-    def _render(self, lattice: Pixels, report: Progress | None) -> FrameData:
-        """Rays of the pattern: pixels of the view at ``cells`` times the size."""
-        cells = self._pattern.cells
+    def _render(self, lattice: Pixels, report: Progress | None, cells: int) -> FrameData:
+        """Rays of a pattern: pixels of the view at ``cells`` times the size."""
         size = self._width * cells, self._height * cells
         data = self._source.render(self._camera, *size, report, self._depth, lattice)
         self._counts.add(data)
         return data
 
-    def _cast(self, pixels: np.ndarray, report: Progress | None) -> tuple[np.ndarray, np.ndarray | None]:
-        """float32 [n, rays, 4] and depths float32 [n, rays] of ``pixels`` (numbers, int64 [n])."""
-        cells, places = self._pattern.cells, np.array(self._pattern.places, np.int32)
+    def _cast(
+        self, pixels: np.ndarray, report: Progress | None, of: Pattern | None = None
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """float32 [n, rays, 4] and depths float32 [n, rays] of ``pixels`` (numbers, int64 [n]): those of the pattern
+        ``of``, by default the picture's."""
+        of = of or self._pattern
+        cells, places = of.cells, np.array(of.places, np.int32)
         row, column = np.divmod(pixels.astype(np.int32), np.int32(self._width))
         rows = (row[:, None] * np.int32(cells) + places[:, 1]).ravel()
         columns = (column[:, None] * np.int32(cells) + places[:, 0]).ravel()
-        data = self._render(PixelList(rows, columns, cells), report)
+        data = self._render(PixelList(rows, columns, cells), report, cells)
         rgba = data.rgba.reshape(-1, 4)[: len(rows)].reshape(len(pixels), len(places), 4)
         if data.depth is None:
             return rgba, None
@@ -150,7 +154,7 @@ class _Picture:
         share = 1.0 / len(made.places)
         for k, ((column, row), offset) in enumerate(zip(made.places, made.offsets())):
             lattice = PixelLattice(made.cells, column, row, alone=True)
-            data = self._render(lattice, self._part(k * share, share))
+            data = self._render(lattice, self._part(k * share, share), made.cells)
             filtered.add(data.rgba, offset)
             if depths is not None and data.depth is not None:
                 np.minimum(depths, data.depth, out=depths)
@@ -178,17 +182,44 @@ class _Picture:
         self._report_all()
         return self._frame(*self._joined(refined), rounds)
 
-    def _wanted(self, first: FrameData) -> np.ndarray:
-        """bool [height, width]: pixels to refine, by the picture of one ray per pixel."""
+    def graded(self) -> FrameData:
+        """As ``at_edges``: pixels are the mean of the ray through their middle and of all rays of the pattern, or of
+        one of half as many where they differ by little."""
+        first = self._source.render(
+            self._camera, self._width, self._height, self._part(0.0, 0.5), self._depth, EVERY_PIXEL
+        )
+        self._counts.add(first)
+        refined = _Refined(first, self._width, self._height, self._edges, keep=False, with_middle=True)
+        grades = self._edges.grade(first.rgba, first.depth)
+        grades[self._hidden(first)] = 2
+        rounds: list[int] = []
+        wanted, few = np.flatnonzero(grades.ravel() == 2), np.flatnonzero(grades.ravel() == 1)
+        while len(wanted) or len(few):
+            done = 0.5 + 0.5 * (1.0 - 0.5 ** len(rounds))
+            for pixels, of in ((wanted, self._pattern), (few, self._half)):
+                for part in self._lists(pixels):
+                    refined.put(part, *self._cast(part, self._part(done, 0.0), of))
+            rounds.append(len(wanted) + len(few))
+            if len(rounds) > _MOST_ROUNDS:
+                break
+            wanted, few = refined.asked_again(np.concatenate([wanted, few])), few[:0]
+        self._report_all()
+        return self._frame(refined.means(), refined.depth, rounds)
+
+    def _hidden(self, first: FrameData) -> np.ndarray:
+        """bool [height, width]: pixels that may hide something thinner than they are; of a single pixel, that one."""
+        cells = self._source.visible_cells
         if self._width * self._height == 1:  # there is nothing to compare it with
             return np.ones((1, 1), bool)
-        wanted = self._edges.find(first.rgba, first.depth)
-        cells = self._source.visible_cells
-        if cells is not None:
-            grid = self._resolved.volume.grid
-            frame = ray_frame(self._camera, grid, self._width, self._height)
-            wanted |= hidden(*cells, grid, frame, first.rgba[..., 3])
-        return wanted
+        if cells is None:
+            return np.zeros((self._height, self._width), bool)
+        grid = self._resolved.volume.grid
+        frame = ray_frame(self._camera, grid, self._width, self._height)
+        return hidden(*cells, grid, frame, first.rgba[..., 3])
+
+    def _wanted(self, first: FrameData) -> np.ndarray:
+        """bool [height, width]: pixels to refine, by the picture of one ray per pixel."""
+        return self._edges.find(first.rgba, first.depth) | self._hidden(first)
 
     def _lists(self, pixels: np.ndarray) -> Iterator[np.ndarray]:
         """``pixels`` (numbers) in lists of bounded length, neighbours close together: in blocks of 4 by 4."""
@@ -246,9 +277,13 @@ class _Picture:
 
 
 class _Refined:
-    """A picture of one ray per pixel, some pixels of which have got more. ``keep``: whether their rays are kept."""
+    """A picture of one ray per pixel, some pixels of which have got more. ``keep``: whether their rays are kept.
+    ``with_middle``: whether the one ray counts as one of them."""
 
-    def __init__(self, first: FrameData, width: int, height: int, edges: Edges, keep: bool) -> None:
+    def __init__(
+        self, first: FrameData, width: int, height: int, edges: Edges, keep: bool, with_middle: bool = False
+    ) -> None:
+        self._with_middle = with_middle
         self._size, self._edges, self._keep = (width, height), edges, keep
         self._one = first.rgba
         self._mean = np.array(first.rgba).reshape(-1, 4)
@@ -263,16 +298,20 @@ class _Refined:
         self._done[pixels] = True
         if self._keep:
             self._parts.append((pixels, rgba))
+        rays = [rgba[:, k] for k in range(rgba.shape[1])]
+        if self._with_middle:
+            rays.append(self._one.reshape(-1, 4)[pixels])
         total = np.zeros((len(pixels), 4))
-        low = high = self._edges.shown(rgba[:, 0])
-        for k in range(rgba.shape[1]):
-            total += rgba[:, k]
-            shown = low if k == 0 else self._edges.shown(rgba[:, k])
+        low = high = self._edges.shown(rays[0])
+        for k, ray in enumerate(rays):
+            total += ray
+            shown = low if k == 0 else self._edges.shown(ray)
             low, high = np.minimum(low, shown), np.maximum(high, shown)
-        self._mean[pixels] = total / rgba.shape[1]
+        self._mean[pixels] = total / len(rays)
         self._differ[pixels] = self._edges.differ(low, high)
         if self.depth is not None and depths is not None:
-            self.depth.reshape(-1)[pixels] = depths.min(axis=1)
+            flat, nearest = self.depth.reshape(-1), depths.min(axis=1)
+            flat[pixels] = np.minimum(nearest, flat[pixels]) if self._with_middle else nearest
 
     def means(self) -> np.ndarray:
         """float32 [height, width, 4]."""
@@ -292,11 +331,11 @@ class _Refined:
         asking = before[self._differ[before]]
         mean = edges.shown(self._mean[asking])
         row, column = np.divmod(asking, width)
-        found = []
+        found = np.zeros(width * height, bool)
         for dy, dx in ((0, 1), (0, -1), (1, 0), (-1, 0)):
             y, x = row + dy, column + dx
             other = np.clip(y, 0, height - 1) * width + np.clip(x, 0, width - 1)
             at = np.flatnonzero((y >= 0) & (y < height) & (x >= 0) & (x < width) & ~self._done[other])
-            unlike = edges.differ(mean[:, at], edges.shown(self._one.reshape(-1, 4)[other[at]]))
-            found.append(other[at][unlike])
-        return np.unique(np.concatenate(found))
+            other = other[at]
+            found[other[edges.differ(mean[:, at], edges.shown(self._one.reshape(-1, 4)[other]))]] = True
+        return np.flatnonzero(found)

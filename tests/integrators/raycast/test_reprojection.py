@@ -15,6 +15,7 @@ from clvol import Camera, TransferFunction
 from clvol.device.view import ray_frame
 from clvol.integrators.raycast import history as module
 from clvol.integrators.raycast.caster import Raycaster
+from clvol.integrators.raycast.measured_gain import MeasuredGain
 from clvol.integrators.raycast.reprojection import MARGIN, Move, change_of_camera, plan_move
 from clvol.scene.coherence import Coherence
 from clvol.scene.isosurface import Isosurface
@@ -262,6 +263,48 @@ def test_late_starts_are_found_and_the_picture_is_repaired(context, monkeypatch)
     for step in range(2, 10):
         assert pictures.show(turned(step))["reason"] == "starts were late"
     assert pictures.show(turned(10))["late_starts"] > 20
+
+
+def test_where_starts_gain_nothing_pictures_are_rendered_without(context, monkeypatch):
+    took = {"reused": 3.0, "plain": 2.0}
+    monkeypatch.setattr(module, "LEAST_PIXELS", 1)
+    real = module.MeasuredGain.took
+    monkeypatch.setattr(
+        module.MeasuredGain, "took",
+        lambda self, seconds, reused: real(self, took["reused" if reused else "plain"], reused),
+    )  # fmt: skip
+    pictures = Pictures(context, scene())
+    assert pictures.show()["reason"] == "the first picture"
+    for step in range(1, 4):
+        assert_reused(pictures.show(turned(0.5 * step)))
+    for step in range(4, 6):
+        assert pictures.show(turned(0.5 * step))["reason"] == "the gain is measured"
+    for _ in range(32):
+        stats = pictures.show(turned(0.5 * step))
+        assert stats["reason"] == "nothing is gained" and stats["mode"] == "cells"
+    took["reused"] = 1.0
+    assert pictures.show(turned(3.0))["reason"] == "the first picture"
+    for step in range(7, 13):
+        assert_reused(pictures.show(turned(0.5 * step)))
+
+
+def turns(gain, reused, plain, pictures):
+    """How many of so many pictures take starts, which take ``reused`` seconds, and ``plain`` without."""
+    found = []
+    for _ in range(pictures):
+        found.append(gain.turn() is None)
+        gain.took(reused if found[-1] else plain, found[-1])
+    return sum(found)
+
+
+def test_pauses_grow_while_nothing_is_gained_and_gains_are_measured_again():
+    assert turns(MeasuredGain(), 1.25, 1.0, 90) == 6
+    assert turns(MeasuredGain(), 1.25, 1.0, 2000) < 2000 * 0.02
+    assert turns(MeasuredGain(), 0.99, 1.0, 90) == 6  # too little to be sure of
+    assert turns(MeasuredGain(), 0.7, 1.0, 2000) > 2000 * 0.97
+    gain = MeasuredGain()
+    assert turns(gain, 0.7, 1.0, 300) > 290
+    assert turns(gain, 1.4, 1.0, 600) < 150  # within the next measurement
 
 
 def test_over_all_audits_every_packet_is_audited(context):
