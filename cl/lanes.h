@@ -6,6 +6,13 @@
 #ifndef LANES_H
 #define LANES_H
 
+/* For what is called once per packet: a function of its own is a name in profiles, and costs nothing there. */
+#if LANES > 1
+#define PER_PACKET RARE
+#else
+#define PER_PACKET INLINE
+#endif
+
 #if LANES == 16
 
 typedef float16 floatN;

@@ -83,7 +83,7 @@ INLINE int composite_constant(Gathered *acc, Emission e, intN active, intN steps
 }
 #endif
 
-INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
+PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
                           Tally *counted FIRST_PARAMETER)
 {
   __global const uchar *distances = scene->distances;
