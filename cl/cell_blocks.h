@@ -1,7 +1,8 @@
 /* The cells of surfaces in a volume of blocks: the field's values at the eight lattice points around, of whatever
  * resolution the blocks are there. Between them it is taken to be trilinear, as it is where they are at full
- * resolution; in coarser blocks a cell that samples' planes cut through is bent less than the field is. Cells side by side have the
- * same values on the face between them, so that surfaces have no holes, at faces of blocks of different levels either.
+ * resolution; in coarser blocks a cell that samples' planes cut through is bent less than the field is. Cells side by
+ * side have the same values on the face between them, so that surfaces have no holes, at faces of blocks of different
+ * levels either.
  */
 #ifndef CELL_BLOCKS_H
 #define CELL_BLOCKS_H
