@@ -200,6 +200,7 @@ def render_from_history(
         # What the audit found at some pixels may be at others, too.
         data = picture.render_again(data, hull)
         history.found_late()
+        history.gain.lost()
     elif measured and reused:
         history.gain.took(perf_counter() - begun, reused=True)
     history.frame, history.size, history.facts = picture.frame, size, facts
