@@ -99,6 +99,8 @@ TILES = (
     Tile("tooth-layers", "Two-dimensional transfer function",
          "Of value and gradient magnitude: enamel, dentine and pulp apart.",
          "two-dimensional transfer function", "[[transfer_layer]]"),
+    Tile("tooth-boundaries", "Generated function", "Made of the data: where value, gradient and second derivative tell "
+         "that a boundary is.", "two-dimensional transfer function", '[transfer_function] generator'),
     Tile("cthead-gradient", "Gradient-weighted opacity", "What is even fades; boundaries stay.",
          "gradient opacity", "[gradient_opacity]"),
     Tile("inia19-labels", "Labels", "A second volume of anatomical labels colours half of a brain.",

@@ -25,7 +25,7 @@
 #include "segment_queue.h"
 #include "skip_empty.h"
 
-INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
+PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
                           Tally *counted FIRST_PARAMETER)
 {
   __global const uchar *volume = scene->volume, *distances = scene->distances;
@@ -45,6 +45,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
   uintN taken = 0;
   Gathered acc;
   gathered_clear(&acc);
+  BEGIN_OPACITY(acc, depth);
   HalfOpacity half_ = no_half(); /* in steps */
 #if !MIDPOINTS
   floatN value1 = 0.0f, value2 = 0.0f;  /* the last sample and the one before */

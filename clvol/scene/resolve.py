@@ -32,6 +32,7 @@ from clvol.scene.depth_cue import DepthCue
 from clvol.scene.display import Display
 from clvol.scene.environment import Environment
 from clvol.scene.field import ResolvedField
+from clvol.scene.generated import generated_function
 from clvol.scene.glow import Glow, with_glow
 from clvol.scene.gradient import GradientSettings
 from clvol.scene.image import ImageSettings
@@ -181,6 +182,9 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
             volume.value_range, default_opacity_unit(volume.grid), scene.folder, scene.origin
         )
         is_linear = settings.color_space == "linear"
+    generated: tuple[TransferLayer, ...] = ()
+    if isinstance(given, TransferFunctionSettings) and given.generator is not None:
+        function, generated = generated_function(scene, given, scene.first_picture(memory_cap).sample)
     glow = None
     if isinstance(given, TransferFunctionSettings) and given.associated:
         function, glow = with_glow(function, given.emission)
@@ -227,7 +231,7 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         shadow=scene.shadow,
         gradient_opacity=None if scene.gradient_opacity is None else scene.gradient_opacity.factor(),
         directional_opacity=None if scene.directional_opacity is None else scene.directional_opacity.factor(),
-        transfer_layers=_layers(scene, fields, unit, decoded),
+        transfer_layers=generated or _layers(scene, fields, unit, decoded),
         glow=glow,
         fields=tuple(fields),
         channels=() if mixes or len(channels) == 1 else channels,

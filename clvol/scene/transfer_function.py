@@ -87,6 +87,11 @@ class TransferFunctionSettings(Table):
     opacity_unit emits ``emission`` times the colour, of which what absorbs on the way takes its part; a value of
     opacity 0 may emit. No light shades it.
 
+    A ``generator`` makes the function from the voxels (``clvol/choice/generated.py``), in the colours of ``colormap``
+    or of a palette: "boundary" shows the middle of boundaries between materials (Kindlmann and Durkin 1998),
+    "histogram" what is rare; with "-2d" by value and gradient magnitude. Its opacities refer to a voxel (boundaries) or
+    to a 32nd of the shortest edge.
+
     ``opacity_unit`` is the world length that opacities refer to. It defaults to 1 for points, to that of the file where
     it states one, and otherwise to a 32nd of the volume's shortest edge. ``color_space`` is the colour space of the
     points' colours and of the image's background.
@@ -140,6 +145,22 @@ class TransferFunctionSettings(Table):
         description="the name of a file: " + KNOWN,
         examples=["preset.json"],
     )
+    generator: Literal["histogram", "histogram-2d", "boundary", "boundary-2d"] | None = Field(
+        None,
+        title="Function made from the data: what is rare, or boundaries; -2d: by gradient magnitude, too.",
+        description="'histogram', 'histogram-2d', 'boundary' or 'boundary-2d'",
+        examples=["boundary"],
+    )
+    strength: Fraction = Field(
+        0.5,
+        title="Largest opacity of a generated function.",
+        description="a number from 0 to 1",
+    )
+    thickness: Number = Field(
+        1.0, gt=0, le=1e3,
+        title="How far from the middle of a boundary a generated function shows it, in voxels.",
+        description="a number greater than 0, at most 1000",
+    )
     entry: str | None = Field(
         None,
         title="Which preset of a ParaView file that has several.",
@@ -169,6 +190,12 @@ class TransferFunctionSettings(Table):
         if len(given) > 1:
             first, second = given[:2]
             raise wrong(second, _brief(getattr(self, second)), f"either {first} or {second}, not both")
+        given += ["generator"] if self.generator is not None and given != ["colormap"] else []
+        if len(given) > 1:
+            raise wrong("generator", self.generator, f"either {given[0]} or generator, not both")
+        for key in ("strength", "thickness"):
+            if key in self.model_fields_set and self.generator is None:
+                raise wrong(key, getattr(self, key), f"no {key} without a generator")
         for key, owners in (("entry", ("file",)), ("range", ("colormap", "file")), ("opacity", ("colormap", "file"))):
             value = getattr(self, key)
             if value is not None and not set(owners) & set(given):
