@@ -1,9 +1,9 @@
 """Whether pictures take less time with starts from the picture before than without: measured, since it depends on the
 scene, on the device and on how far the camera moves.
 
-After two pictures with such starts some are rendered without. Where these took less, or nearly as little, many that follow
-are, too: more of them each time that the next trial ends alike, or that starts were late, for then a picture is rendered
-twice. No picture depends on it.
+After two pictures with such starts some are rendered without. Where these took less, or nearly as little, many that
+follow are, too: more of them each time that the next trial ends alike, or that starts were late, for then a picture is
+rendered twice. No picture depends on it.
 """
 
 from __future__ import annotations
