@@ -9,7 +9,7 @@ import sys
 from bench.options import Options
 
 NAMES = (
-    "peers", "shaded", "isosurface", "effects", "sampling", "scaling", "startup", "convergence",
+    "peers", "shaded", "isosurface", "effects", "sampling", "profile", "scaling", "startup", "convergence",
     "tradeoff", "targets", "multiresolution", "pyramid", "slicing", "compression", "devices", "workers",
     "gallery", "first-pictures", "supersampling", "coherence", "random-peaks",
 )  # fmt: skip

@@ -231,6 +231,24 @@ def ladder_chart(result: dict[str, Any], path: Path) -> Path:
     return _save(plt, figure, path, _notes(result))
 
 
+def stack_chart(result: dict[str, Any], names: Sequence[str], path: Path) -> Path:
+    """Processor time of a frame by what it is spent on, a bar per scene. ``names``: of the parts, in their order."""
+    plt = _plt()
+    scenes = result["scenes"]
+    figure, axis = plt.subplots(figsize=(9, 1.6 + 0.55 * len(scenes)))
+    lefts = [0.0] * len(scenes)
+    for name, color in zip(names, plt.get_cmap("tab10").colors):
+        values = [1e3 * s["parts"][name] for s in scenes]
+        axis.barh(range(len(scenes)), values, 0.7, left=lefts, color=color, label=name)
+        lefts = [left + value for left, value in zip(lefts, values)]
+    axis.set_yticks(range(len(scenes)), [f"{s['scene']} ({s['classification']})" for s in scenes])
+    axis.tick_params(axis="y", length=0)
+    axis.invert_yaxis()
+    axis.set_xlabel("ms of processor time per frame")
+    axis.legend(fontsize=8, ncols=3, loc="upper center", bbox_to_anchor=(0.4, -0.32))
+    return _save(plt, figure, path, _notes(result))
+
+
 def scaling_chart(result: dict[str, Any], path: Path) -> Path:
     """Seconds against samples over two sweeps, and seconds a sample over each."""
     plt = _plt()

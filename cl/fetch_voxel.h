@@ -7,8 +7,8 @@
  * float range as (v - bias) * gain in double. Indices are those of the lower corner and at most size - 2, so no fetch
  * leaves the buffer.
  *
- * Fetching and decoding are two functions, so that a march can fetch a step ahead: a fetch waits for the cache much
- * longer than all arithmetic takes.
+ * Finding a cell, fetching and decoding are functions of their own, so that a march can fetch ahead: a fetch waits for
+ * the cache much longer than all arithmetic takes. fetch_corners_at() takes what corner_offset() gives.
  */
 #ifndef FETCH_VOXEL_H
 #define FETCH_VOXEL_H
@@ -68,10 +68,8 @@ typedef struct {
 
 #if VOXEL_PAIRS
 
-INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy,
-                                    intN iz)
+INLINE FetchedCorners fetch_corners_at(__global const uchar *volume, __constant const View *view, intN at)
 {
-  const intN at = corner_offset(volume, view, ix, iy, iz);
   const FetchedCorners f = {gather2(volume, at), gather2(volume + slice_bytes(view), at)};
   return f;
 }
@@ -86,10 +84,8 @@ INLINE Corners decode_corners(FetchedCorners f, __constant const View *view)
 
 #else
 
-INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy,
-                                    intN iz)
+INLINE FetchedCorners fetch_corners_at(__global const uchar *volume, __constant const View *view, intN at)
 {
-  const intN at = corner_offset(volume, view, ix, iy, iz);
   const size_t row = row_bytes(view), slice = slice_bytes(view);
   const FetchedCorners f = {(gather1(volume, at) & 0xffffu) | (gather1(volume + row, at) << 16u),
                             (gather1(volume + slice, at) & 0xffffu) | (gather1(volume + slice + row, at) << 16u)};
@@ -120,10 +116,8 @@ typedef struct {
   uintN w00, w10, w01, w11; /* wYZ */
 } FetchedCorners;
 
-INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy,
-                                    intN iz)
+INLINE FetchedCorners fetch_corners_at(__global const uchar *volume, __constant const View *view, intN at)
 {
-  const intN at = corner_offset(volume, view, ix, iy, iz);
   const size_t row = row_bytes(view), slice = slice_bytes(view);
   const FetchedCorners f = {gather2(volume, at), gather2(volume + row, at), gather2(volume + slice, at),
                             gather2(volume + slice + row, at)};
@@ -144,11 +138,9 @@ typedef Corners FetchedCorners;
 
 #if VOXEL_BITS == 32
 
-INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy,
-                                    intN iz)
+INLINE FetchedCorners fetch_corners_at(__global const uchar *volume, __constant const View *view, intN at)
 {
   Corners c;
-  const intN at = corner_offset(volume, view, ix, iy, iz);
   const size_t row = row_bytes(view), slice = slice_bytes(view);
   c.v000 = AS_FLOAT(gather4(volume, at)), c.v100 = AS_FLOAT(gather4(volume + 4, at));
   c.v010 = AS_FLOAT(gather4(volume + row, at)), c.v110 = AS_FLOAT(gather4(volume + row + 4, at));
@@ -166,12 +158,12 @@ INLINE floatN fetch_double(__global const double *volume, const int *at, double 
   return LOAD_LANES(v);
 }
 
-INLINE FetchedCorners fetch_corners(__global const uchar *bytes, __constant const View *view, intN ix, intN iy, intN iz)
+INLINE FetchedCorners fetch_corners_at(__global const uchar *bytes, __constant const View *view, intN corner)
 {
   Corners c;
   __global const double *volume = (__global const double *)bytes;
   int at[LANES];
-  STORE_LANES(corner_offset(bytes, view, ix, iy, iz), at);
+  STORE_LANES(corner, at);
   const size_t row = (size_t)view->row_stride, slice = (size_t)view->slice_stride;
   const double bias = view->voxel_bias_double, gain = view->voxel_gain_double;
   c.v000 = fetch_double(volume, at, bias, gain), c.v100 = fetch_double(volume + 1, at, bias, gain);
@@ -199,5 +191,12 @@ INLINE Corners decode_corners(FetchedCorners f, __constant const View *view)
 }
 
 #endif
+
+/* Those of a cell whose lower corner is there. */
+INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy,
+                                    intN iz)
+{
+  return fetch_corners_at(volume, view, corner_offset(volume, view, ix, iy, iz));
+}
 
 #endif

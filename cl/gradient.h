@@ -122,64 +122,105 @@ INLINE Gradient central_gradient(__global const uchar *volume, __constant const 
 
 #if VOXEL_BITS == 8 && VOXEL_PAIRS
 
+/* Of one slice the pairs of rows y - 1 and y + 1 on, each from x - 1 to x + 2; of all that a gradient depends on. */
+typedef struct {
+  uintN low0, high0, low1, high1;
+} SliceWords;
+typedef struct {
+  SliceWords slice0, slice1; /* z, z + 1 */
+  uintN before, behind;      /* the cell's corners in slices z - 1, z + 2 */
+  floatN fx, fy, fz;
+} GradientWords;
+
 /* What one slice has for the differences along x and y, and its means at y and y + 1. */
 typedef struct {
   floatN dx, dy; /* differences over two voxels */
   floatN m0, m1;
 } SliceDifferences;
 
-/* From the pairs of rows y - 1 and y + 1 on, each from x - 1 to x + 2: in two gathers of 64 bits, or, of bricks, in
- * four, since what is needed may be in several. */
-INLINE SliceDifferences slice_differences(__global const uchar *volume, __constant const View *view, Place x, Place y,
-                                          intN iz, intN corner, size_t slice)
-{
-  uintN low0, high0, low1, high1;
 #if BRICKS
-  const intN before = x.index - 1, behind = x.index + 1, above_y = y.index - 1, below_y = y.index + 1;
-  low0 = gather2(volume, corner_offset(volume, view, before, above_y, iz));
-  high0 = gather2(volume, corner_offset(volume, view, behind, above_y, iz));
-  low1 = gather2(volume, corner_offset(volume, view, before, below_y, iz));
-  high1 = gather2(volume, corner_offset(volume, view, behind, below_y, iz));
+/* In four gathers, since what is needed may be in several bricks. */
+INLINE SliceWords fetch_slice(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
+{
+  SliceWords s;
+  s.low0 = gather2(volume, corner_offset(volume, view, ix - 1, iy - 1, iz));
+  s.high0 = gather2(volume, corner_offset(volume, view, ix + 1, iy - 1, iz));
+  s.low1 = gather2(volume, corner_offset(volume, view, ix - 1, iy + 1, iz));
+  s.high1 = gather2(volume, corner_offset(volume, view, ix + 1, iy + 1, iz));
+  return s;
+}
 #else
-  const intN at = corner - (intN)(view->row_stride + 1), below = at + (intN)(2 * view->row_stride);
-  gather_two2(volume + slice, at, &low0, &high0);
-  gather_two2(volume + slice, below, &low1, &high1);
+/* In two gathers of 64 bits, `slice` bytes behind the cell's corner. */
+INLINE SliceWords fetch_slice(__global const uchar *volume, __constant const View *view, intN corner, size_t slice)
+{
+  SliceWords s;
+  __global const uchar *above = volume + slice - row_bytes(view) - ELEMENT_BYTES;
+  gather_two2(above, corner, &s.low0, &s.high0);
+  gather_two2(above + 2 * row_bytes(view), corner, &s.low1, &s.high1);
+  return s;
+}
 #endif
-  const floatN fx = x.f, fy = y.f;
+
+#if !BRICKS
+/* A gradient in stages, for loops over several that need no voxel beyond the faces: fetch_gradient_words() at the cell's
+ * corner_offset(), with the place in the cell beside it; gradient_of_words(). */
+#define GRADIENTS_IN_STAGES 1
+
+INLINE void fetch_gradient_words(__global const uchar *volume, __constant const View *view, intN corner,
+                                 GradientWords *w)
+{
+  const size_t slice = slice_bytes(view);
+  w->slice0 = fetch_slice(volume, view, corner, 0), w->slice1 = fetch_slice(volume, view, corner, slice);
+  w->before = gather2(volume - slice, corner), w->behind = gather2(volume + 2 * slice, corner);
+}
+#endif
+
+/* Away from the volume's faces: six gathers (of bricks ten). */
+INLINE GradientWords fetch_gradient(__global const uchar *volume, __constant const View *view, Place x, Place y,
+                                    Place z)
+{
+  GradientWords w;
+#if BRICKS
+  w.slice0 = fetch_slice(volume, view, x.index, y.index, z.index);
+  w.slice1 = fetch_slice(volume, view, x.index, y.index, z.index + 1);
+  w.before = gather2(volume, corner_offset(volume, view, x.index, y.index, z.index - 1));
+  w.behind = gather2(volume, corner_offset(volume, view, x.index, y.index, z.index + 2));
+#else
+  fetch_gradient_words(volume, view, corner_offset(volume, view, x.index, y.index, z.index), &w);
+#endif
+  w.fx = x.f, w.fy = y.f, w.fz = z.f;
+  return w;
+}
+
+INLINE SliceDifferences slice_differences(SliceWords w, floatN fx, floatN fy)
+{
   SliceDifferences s;
-  const floatN b1 = BYTE(low0, 3u), c1 = BYTE(high0, 1u), b2 = BYTE(low1, 2u), c2 = BYTE(high1, 0u);
-  const floatN at_x0 = mix_corners(c1 - BYTE(low0, 1u), c2 - BYTE(low1, 0u), fy);
-  const floatN at_x1 = mix_corners(BYTE(high0, 3u) - b1, BYTE(high1, 2u) - b2, fy);
+  const floatN b1 = BYTE(w.low0, 3u), c1 = BYTE(w.high0, 1u), b2 = BYTE(w.low1, 2u), c2 = BYTE(w.high1, 0u);
+  const floatN at_x0 = mix_corners(c1 - BYTE(w.low0, 1u), c2 - BYTE(w.low1, 0u), fy);
+  const floatN at_x1 = mix_corners(BYTE(w.high0, 3u) - b1, BYTE(w.high1, 2u) - b2, fy);
   s.dx = mix_corners(at_x0, at_x1, fx);
   s.m0 = mix_corners(b1, c1, fx), s.m1 = mix_corners(b2, c2, fx);
-  const floatN above = mix_corners(BYTE(low0, 2u), BYTE(high0, 0u), fx);
-  s.dy = mix_corners(s.m1 - above, mix_corners(BYTE(low1, 3u), BYTE(high1, 1u), fx) - s.m0, fy);
+  const floatN above = mix_corners(BYTE(w.low0, 2u), BYTE(w.high0, 0u), fx);
+  s.dy = mix_corners(s.m1 - above, mix_corners(BYTE(w.low1, 3u), BYTE(w.high1, 1u), fx) - s.m0, fy);
   return s;
 }
 
-/* Away from the volume's faces: six gathers (of bricks ten). */
-INLINE Gradient inner_gradient(__global const uchar *volume, __constant const View *view, Place x, Place y, Place z)
+INLINE Gradient gradient_of_words(GradientWords w)
 {
-  const intN corner = corner_offset(volume, view, x.index, y.index, z.index);
-  const size_t slice = slice_bytes(view);
-  const SliceDifferences s0 = slice_differences(volume, view, x, y, z.index, corner, 0);
-  const SliceDifferences s1 = slice_differences(volume, view, x, y, z.index + 1, corner, slice);
-#if BRICKS
-  const uintN before = gather2(volume, corner_offset(volume, view, x.index, y.index, z.index - 1));
-  const uintN behind = gather2(volume, corner_offset(volume, view, x.index, y.index, z.index + 2));
-#else
-  const uintN before = gather2(volume - slice, corner), behind = gather2(volume + 2 * slice, corner);
-#endif
-  const floatN mean_before = mix_four(BYTE(before, 0u), BYTE(before, 2u), BYTE(before, 1u), BYTE(before, 3u), x.f, y.f);
-  const floatN mean_behind = mix_four(BYTE(behind, 0u), BYTE(behind, 2u), BYTE(behind, 1u), BYTE(behind, 3u), x.f, y.f);
-  const floatN mean0 = mix_corners(s0.m0, s0.m1, y.f), mean1 = mix_corners(s1.m0, s1.m1, y.f);
-  const Gradient g = {0.5f * mix_corners(s0.dx, s1.dx, z.f), 0.5f * mix_corners(s0.dy, s1.dy, z.f),
-                      0.5f * mix_corners(mean1 - mean_before, mean_behind - mean0, z.f)};
+  const floatN fx = w.fx, fy = w.fy, fz = w.fz;
+  const SliceDifferences s0 = slice_differences(w.slice0, fx, fy), s1 = slice_differences(w.slice1, fx, fy);
+  const floatN mean_before = mix_four(BYTE(w.before, 0u), BYTE(w.before, 2u), BYTE(w.before, 1u), BYTE(w.before, 3u),
+                                      fx, fy);
+  const floatN mean_behind = mix_four(BYTE(w.behind, 0u), BYTE(w.behind, 2u), BYTE(w.behind, 1u), BYTE(w.behind, 3u),
+                                      fx, fy);
+  const floatN mean0 = mix_corners(s0.m0, s0.m1, fy), mean1 = mix_corners(s1.m0, s1.m1, fy);
+  const Gradient g = {0.5f * mix_corners(s0.dx, s1.dx, fz), 0.5f * mix_corners(s0.dy, s1.dy, fz),
+                      0.5f * mix_corners(mean1 - mean_before, mean_behind - mean0, fz)};
   return g;
 }
 
 /* The same at the volume's faces, where differences are over one voxel instead of two: they count twice. All else is in
- * the order of inner_gradient(), so that a lane that is not at a face gets the same bits from either, whatever its
+ * the order of gradient_of_words(), so that a lane that is not at a face gets the same bits from either, whatever its
  * neighbours are. */
 INLINE Gradient face_gradient(__global const uchar *volume, __constant const View *view, Place x, Place y, Place z)
 {
@@ -229,7 +270,8 @@ INLINE Gradient gradient_at(__global const uchar *volume, __global const uint *g
   const Place z = place_in_cell(pz, view->upper.z, view->size.z);
 #if VOXEL_BITS == 8 && VOXEL_PAIRS
   const intN beside = beside_faces(x, view->size.x) | beside_faces(y, view->size.y) | beside_faces(z, view->size.z);
-  return any_lane(beside) ? face_gradient(volume, view, x, y, z) : inner_gradient(volume, view, x, y, z);
+  return any_lane(beside) ? face_gradient(volume, view, x, y, z)
+                          : gradient_of_words(fetch_gradient(volume, view, x, y, z));
 #else
   return finite_gradient(central_gradient(volume, view, x, y, z));
 #endif

@@ -6,6 +6,13 @@
 #ifndef LANES_H
 #define LANES_H
 
+/* For what is called once per packet: a function of its own is a name in profiles, and costs nothing there. */
+#if LANES > 1
+#define PER_PACKET RARE
+#else
+#define PER_PACKET INLINE
+#endif
+
 #if LANES == 16
 
 typedef float16 floatN;
@@ -192,6 +199,19 @@ INLINE int any_lane(intN mask)
   return (c.x | c.y) < 0;
 #else
   return mask;
+#endif
+}
+
+/* The least of all lanes. */
+INLINE int least_lane(intN v)
+{
+#if LANES == 16
+  const int8 a = min(v.lo, v.hi);
+  const int4 b = min(a.lo, a.hi);
+  const int2 c = min(b.lo, b.hi);
+  return min(c.x, c.y);
+#else
+  return v;
 #endif
 }
 

@@ -93,7 +93,7 @@ INLINE void integrate_cell(Gathered *acc, HalfOpacity *half_, const Corners *c, 
 }
 
 /* The packet's rays from cell to cell. `taken` counts evaluations of the field. */
-INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
+PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
                           Tally *counted)
 {
   __global const uchar *volume = scene->volume, *distances = scene->distances;

@@ -98,7 +98,7 @@
 /* Gradients are also reconstructed where nothing is lit, for what depends on them. */
 #define GRADIENT_DECIDES (OPACITY_FACTORS || GRADIENT_LAYERS)
 
-INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
+PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
                           Tally *counted FIRST_PARAMETER)
 {
   __global const uchar *volume = scene->volume, *distances = scene->distances;

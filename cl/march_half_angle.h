@@ -30,7 +30,7 @@
 #include "depth_cue.h"
 #endif
 
-INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
+PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
                           Tally *counted)
 {
   __global const float *table = scene->table;

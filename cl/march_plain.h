@@ -25,7 +25,7 @@
 #include "segment_queue.h"
 #include "skip_empty.h"
 
-INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
+PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
                           Tally *counted FIRST_PARAMETER)
 {
   __global const uchar *volume = scene->volume, *distances = scene->distances;

@@ -3,7 +3,7 @@
  *
  * MARCH_STEPS segments are taken in passes over arrays: all their samples, which wait for memory together
  * (march_plain.h); classification, and opacity from front to back, so that what is behind an opaque segment drops out;
- * gradients, light and colours of all that shows, some passes later (held_segments.h).
+ * gradients, light and colours of all that shows, some passes later (held_segments.h, lit_entries.h).
  *
  * Where the field is constant, gradient and light are nothing, and what a segment shows is known: rays whose packet is
  * in such cells (CONSTANT_CELLS; a map as in skip_empty.h, of the cells where the field or its gradient may change)
@@ -20,6 +20,7 @@
 #include "features.h"
 #include "half_opacity.h"
 #include "held_segments.h"
+#include "lit_entries.h"
 #include "march.h"
 #include "packet_spans.h"
 #include "rays.h"
@@ -49,7 +50,40 @@ INLINE Emission emission_between(floatN front, floatN back, intN active, __globa
 #endif
 }
 
-INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
+/* Where the value is taken of the segment that begins at `t0` of a ray of `length`. */
+INLINE floatN sampled_at(floatN t0, floatN length)
+{
+  return NEEDS_ENDS ? lane_min(t0 + 1.0f, length) : segment_middle(t0, length);
+}
+
+#if CONSTANT_CELLS
+#define CONSTANT_RUN 16 /* segments that are composited before it is seen whether a ray ends */
+
+/* Composites segments that all emit `e`, of the rays in `active`, which have `steps` of them: as many as all have, up to
+ * CONSTANT_RUN. None, where a ray would end among them, or more happens: its opacity begins, or passes one half.
+ * Returns how many. */
+INLINE int composite_constant(Gathered *acc, Emission e, intN active, intN steps, float stop_opacity)
+{
+  const int count = least_lane(select((intN)CONSTANT_RUN, min(steps, (intN)CONSTANT_RUN), active));
+  const floatN none = 0.0f;
+  const floatN r = select(none, e.r, active), g = select(none, e.g, active), b = select(none, e.b, active);
+  const floatN d = select(none, e.d, active), before = acc->a;
+  Gathered sum = *acc;
+  _Pragma("unroll 1") for (int k = 0; k < count; ++k) {
+    const floatN left = 1.0f - sum.a;
+    sum.r += left * r, sum.g += left * g, sum.b += left * b, sum.a += left * d;
+  }
+  intN happens = MASK(sum.a >= stop_opacity) | MASK(before <= 0.0f);
+#if WITH_DEPTH
+  happens |= passes_half(before, sum.a);
+#endif
+  if (any_lane(active & happens)) return 0;
+  *acc = sum;
+  return count;
+}
+#endif
+
+PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
                           Tally *counted FIRST_PARAMETER)
 {
   __global const uchar *distances = scene->distances;
@@ -67,6 +101,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
   gathered_clear(&acc);
   HalfOpacity half_ = no_half(); /* in edges from the eye */
   Rays ray = whole_ray;
+  InnerSpan inner = inner_span(view, &ray);
   floatN next_from = 0.0f;  /* where the next stretch may begin, along whole_ray */
   Vectors cut_normal = {0.0f, 0.0f, 0.0f};
   intN i = 0, last = DONE;
@@ -89,7 +124,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
     const intN stretches = alive & MASK(i > last);
     if (held.segments > MOST_HELD - MARCH_STEPS ||
         (held.segments && (composites | any_lane(stretches) | !any_lane(alive))))
-      composite_held(scene, &held, &acc, &ray, forward, cut_normal, counted);
+      composite_held(scene, &held, &acc, &ray, inner, forward, cut_normal, counted);
     composites = 0;
     if (any_lane(stretches)) {
 #if CLIP
@@ -104,6 +139,7 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
       next_from = select(next_from, whole_ray.length, stretches);
 #endif
       ray = select_rays(ray, rays_in_steps(along, h), stretches);
+      inner = inner_span(view, &ray);
       i = select(i, (intN)0, stretches);
       visible_to = ray.length;
 #if (SPANS && !CLIP) || COHERENT
@@ -164,6 +200,11 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
         if (may_be_visible(value, value, going, view)) e = emission_between(value, value, going, table, view);
         for (intN active = going; any_lane(active) && !any_lane(active & MASK(i >= constant_end));
              active = alive & MASK(i <= last)) {
+          const int count = composite_constant(&acc, e, active, min(last + 1, constant_end) - i, view->stop_opacity);
+          if (count) {
+            taken += AS_UINT(active & (intN)count), i += active & (intN)count;
+            continue;
+          }
           taken -= AS_UINT(active);
           const floatN left = select((floatN)0.0f, 1.0f - acc.a, active), before = acc.a;
           acc.r += left * e.r, acc.g += left * e.g, acc.b += left * e.b, acc.a += left * e.d;
@@ -183,11 +224,24 @@ INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float
 #endif
     floatN values[MARCH_STEPS];
     const intN start = i;
+#if FILTER == FILTER_LINEAR && VOXEL_BITS == 8 && !SAMPLE_REPEATS
+    /* Three short loops: the one that fetches has all its fetches under way at once. Wider voxels gain nothing. */
+    SamplePlace places[MARCH_STEPS];
+    FetchedCorners corners[MARCH_STEPS];
     _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
-      const floatN t0 = TO_FLOAT(start + step);
-      const floatN t = NEEDS_ENDS ? lane_min(t0 + 1.0f, ray.length) : segment_middle(t0, ray.length);
+      const floatN t = sampled_at(TO_FLOAT(start + step), ray.length);
+      places[step] = linear_place(scene->volume, view, ray.x0 + t * ray.dx, ray.y0 + t * ray.dy, ray.z0 + t * ray.dz);
+    }
+    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step)
+      corners[step] = fetch_corners_at(scene->volume, view, places[step].corner);
+    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step)
+      values[step] = linear_value(fetched_at(places[step], corners[step]), view);
+#else
+    _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
+      const floatN t = sampled_at(TO_FLOAT(start + step), ray.length);
       values[step] = scene_value(scene, ray.x0 + t * ray.dx, ray.y0 + t * ray.dy, ray.z0 + t * ray.dz);
     }
+#endif
 #if NEEDS_ENDS
     /* No segment before had the sample where this one begins. */
     const intN unknown = alive & MASK(start <= last) & ~joined;

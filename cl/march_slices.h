@@ -119,7 +119,7 @@ INLINE FetchedSample fetch_slice(__global const uchar *volume, __constant const 
   return fetch_sample(volume, view, x, y, z);
 }
 
-INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
+PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
                           Tally *counted)
 {
   __constant const View *view = scene->view;

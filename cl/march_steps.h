@@ -30,7 +30,7 @@ INLINE intN steps_from(__global const uchar *steps, __constant const View *view,
   return max(min(most, last - at), (intN)1);
 }
 
-INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
+PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
                           Tally *counted)
 {
   __global const uchar *volume = scene->volume, *distances = scene->distances, *steps = scene->steps;

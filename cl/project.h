@@ -98,7 +98,7 @@ INLINE floatN middle_of(const Rays *ray, intN i)
   return 0.5f * (t + lane_min(t + 1.0f, ray->length));
 }
 
-INLINE void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
+PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
                           Tally *counted)
 {
   __global const float *table = scene->table;

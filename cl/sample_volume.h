@@ -75,17 +75,35 @@ typedef struct {
   floatN fx, fy, fz; /* place inside the lattice cell, 0 .. 1 */
 } FetchedSample;
 
-INLINE FetchedSample fetch_linear(__global const uchar *volume, __constant const View *view, floatN x, floatN y,
-                                  floatN z)
+/* A sample's cell, and the place in it. */
+typedef struct {
+  intN corner; /* corner_offset() */
+  floatN fx, fy, fz;
+} SamplePlace;
+
+INLINE SamplePlace linear_place(__global const uchar *volume, __constant const View *view, floatN x, floatN y, floatN z)
 {
-  FetchedSample s;
+  SamplePlace p;
   x = lane_clamp(x, (floatN)0.0f, (floatN)view->upper.x);
   y = lane_clamp(y, (floatN)0.0f, (floatN)view->upper.y);
   z = lane_clamp(z, (floatN)0.0f, (floatN)view->upper.z);
   const intN ix = cell_index(x, view->size.x), iy = cell_index(y, view->size.y), iz = cell_index(z, view->size.z);
-  s.fx = x - TO_FLOAT(ix), s.fy = y - TO_FLOAT(iy), s.fz = z - TO_FLOAT(iz);
-  s.corners = fetch_corners(volume, view, ix, iy, iz);
+  p.fx = x - TO_FLOAT(ix), p.fy = y - TO_FLOAT(iy), p.fz = z - TO_FLOAT(iz);
+  p.corner = corner_offset(volume, view, ix, iy, iz);
+  return p;
+}
+
+INLINE FetchedSample fetched_at(SamplePlace p, FetchedCorners corners)
+{
+  const FetchedSample s = {corners, p.fx, p.fy, p.fz};
   return s;
+}
+
+INLINE FetchedSample fetch_linear(__global const uchar *volume, __constant const View *view, floatN x, floatN y,
+                                  floatN z)
+{
+  const SamplePlace p = linear_place(volume, view, x, y, z);
+  return fetched_at(p, fetch_corners_at(volume, view, p.corner));
 }
 
 INLINE floatN linear_value(FetchedSample s, __constant const View *view)

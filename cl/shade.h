@@ -101,14 +101,10 @@ INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal
   return lit;
 }
 
-/* c (times `depth`) lit, where there is a normal; fading to the unlit colour where the gradient is short. */
-INLINE Vectors shaded_color(const Scene *scene, Vectors color, floatN depth, Vectors place, Vectors normal,
-                            Vectors gradient,
-                            Vectors view, floatN weight, int on_surface, intN active, Tally *counted)
+/* c (times `depth`) in this light, where there is a normal; fading to the unlit colour where the gradient is short. */
+INLINE Vectors in_light(const Scene *scene, Vectors color, floatN depth, Vectors gradient, Illumination lit,
+                        intN active)
 {
-  if (!any_lane(active)) return color;
-  count_lanes(&counted[COUNT_LIT_SAMPLES], active);
-  const Illumination lit = illuminate(scene, place, normal, view, weight, on_surface, active, counted);
   Vectors shaded = {color.x * lit.diffuse.x + depth * lit.specular.x, color.y * lit.diffuse.y + depth * lit.specular.y,
                     color.z * lit.diffuse.z + depth * lit.specular.z};
   if (scene->effects->fade > 0.0f) {
@@ -117,6 +113,16 @@ INLINE Vectors shaded_color(const Scene *scene, Vectors color, floatN depth, Vec
     shaded.z = color.z + share * (shaded.z - color.z);
   }
   return select3(color, shaded, active);
+}
+
+/* The same, and finds the light. */
+INLINE Vectors shaded_color(const Scene *scene, Vectors color, floatN depth, Vectors place, Vectors normal,
+                            Vectors gradient, Vectors view, floatN weight, int on_surface, intN active, Tally *counted)
+{
+  if (!any_lane(active)) return color;
+  count_lanes(&counted[COUNT_LIT_SAMPLES], active);
+  const Illumination lit = illuminate(scene, place, normal, view, weight, on_surface, active, counted);
+  return in_light(scene, color, depth, gradient, lit, active);
 }
 
 #endif

@@ -2,10 +2,12 @@
 
 A segment classified by the value in its middle ("post") takes the value exactly and the transfer function at one point.
 A pre-integrated one takes the function exactly and the values along a chord. Which errs less depends on how the
-function bends within what the data change along a step, so both are tried: on short pieces of rays in random
-directions (always the same ones) through cells in which something shows, beside steps of a quarter of the length. If
-midpoints err less, clearly (by a tenth, and by half a standard error of the difference), they are chosen, else
-pre-integration. This is an estimate: what a view shows of the volume may differ from the volume.
+function bends within what the data change along a step, so both are tried: on pieces of rays in random directions
+(always the same ones) through cells in which something shows, beside steps of a quarter of the length. The extinction
+of a piece fades in and out: errors of midpoints within what a ray passes as a whole cancel each other, which a piece
+that begins in the middle of it would hide. If midpoints err less, they are chosen, else pre-integration. This is an
+estimate, with a standard error of about a tenth: what a view shows of the volume may differ from the volume, and lights
+are not in it. Measured on 32 unlit scenes of nine volumes it finds the rule that errs less in 30.
 """
 
 from __future__ import annotations
@@ -27,10 +29,9 @@ if TYPE_CHECKING:
     from clvol.scene.resolve import ResolvedScene
 
 _log = logging.getLogger(__name__)
-_PIECES, _STEPS, _PARTS = 768, 8, 4  # pieces of rays, steps of each, and parts of a step of the exact ones
+_PIECES, _STEPS, _PARTS = 768, 16, 4  # pieces of rays, steps of each, and parts of a step of the exact ones
 _FEWEST = 128  # pieces from which errors can be told
 _DRAWS = (1 << 12, 1 << 15, 1 << 16, 1 << 16)  # numbers of cells that are looked at until enough show something
-_MARGIN, _CLEARLY = 0.5, 0.9  # in standard errors of the difference of squares; of the other rule's error
 _OPAQUE = 40.0  # optical depth of a part of a step that is opaque at once
 
 
@@ -91,10 +92,9 @@ def chosen_for(resolved: ResolvedScene) -> ChosenClassification:
     errors = rule_errors(volume, function, integration.step)
     if errors is None:
         return ChosenClassification("preintegrated", "too little of the volume shows to compare errors")
-    less = errors.post <= _CLEARLY * errors.preintegrated and errors.difference + _MARGIN <= 0
-    better = "post" if less else "preintegrated"
+    better = "post" if errors.post <= errors.preintegrated else "preintegrated"
     reason = (
-        f"on short pieces of rays midpoints err by {errors.post:.2g}, pre-integration by {errors.preintegrated:.2g}"
+        f"on pieces of rays midpoints err by {errors.post:.2g}, pre-integration by {errors.preintegrated:.2g}"
     )
     return ChosenClassification(better, reason)
 
@@ -126,10 +126,10 @@ def _rule_errors(volume: Volume, function: TransferFunction, step: float) -> Rul
     values, inside, counts = kept[1]
     values = np.where(inside, values, function.values[0])
     integrals = TransferIntegrals(function, _OPAQUE * max(_PARTS / units, 1.0))  # more than any finite extinction
-    exact = _colors(integrals.mean_along(values), units / _PARTS, counts)
+    exact = _colors(integrals.mean_along(values), units / _PARTS * _fading(_STEPS * _PARTS), counts)
     whole, ends, middle = counts[:, ::_PARTS], values[:, ::_PARTS], values[:, _PARTS // 2 :: _PARTS]
-    post = _colors(integrals.extinction(middle), units, whole)
-    preintegrated = _colors(integrals.mean(*_shifted_ends(ends)), units, whole)
+    post = _colors(integrals.extinction(middle), units * _fading(_STEPS), whole)
+    preintegrated = _colors(integrals.mean(*_shifted_ends(ends)), units * _fading(_STEPS), whole)
     by_post, by_chord = (((each - exact) ** 2).sum(axis=1) for each in (post, preintegrated))
     difference = by_post - by_chord
     spread = float(difference.std()) / np.sqrt(difference.size)
@@ -187,17 +187,16 @@ def _trilinear(data: np.ndarray, places: np.ndarray) -> np.ndarray:
     """float64 [...]: ``data`` at lattice ``places`` [..., 3] (z, y, x), constant beyond its faces."""
     last = np.array(data.shape) - 1
     low = np.clip(np.floor(places).astype(np.int64), 0, np.maximum(last - 1, 0))
-    share, high = places - low, np.minimum(low + 1, last)
-    values = None
+    share, steps = places - low, np.where(last > 0, [data.shape[1] * data.shape[2], data.shape[2], 1], 0)
+    first = (low[..., 0] * data.shape[1] + low[..., 1]) * data.shape[2] + low[..., 2]
+    flat = data.reshape(-1) if data.flags.c_contiguous else data.flat  # reshape would copy the volume otherwise
+    values: list[np.ndarray] = [
+        flat[first + (z * steps[0] + y * steps[1] + x * steps[2])].astype(np.float64)
+        for z in (0, 1) for y in (0, 1) for x in (0, 1)
+    ]  # fmt: skip
     with np.errstate(invalid="ignore"):
         for axis in (2, 1, 0):  # x, then y, then z
-            if values is None:
-                corner = [[data[z, y, low[..., 2]].astype(np.float64), data[z, y, high[..., 2]].astype(np.float64)]
-                          for z in (low[..., 0], high[..., 0]) for y in (low[..., 1], high[..., 1])]  # fmt: skip
-                values = [a + share[..., axis] * (b - a) for a, b in corner]
-            else:
-                values = [a + share[..., axis] * (b - a) for a, b in zip(values[::2], values[1::2])]
-    assert values is not None
+            values = [a + share[..., axis] * (b - a) for a, b in zip(values[::2], values[1::2])]
     return values[0]
 
 
@@ -210,9 +209,14 @@ def _shifted_ends(ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.clip(front + shift, low, high), np.clip(back + shift, low, high)
 
 
-def _colors(mean: np.ndarray, units: float, counts: np.ndarray) -> np.ndarray:
-    """float64 [pieces, 4]: segments of ``units`` opacity units with the ``mean`` [pieces, segments, 4] of extinction
-    and light, from front to back; only those that ``counts``."""
+def _fading(segments: int) -> np.ndarray:
+    """float64 [segments], 0 to 1: the share of the extinction of each that counts (a Hann window)."""
+    return np.sin(np.pi * (np.arange(segments) + 0.5) / segments) ** 2
+
+
+def _colors(mean: np.ndarray, units: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """float64 [pieces, 4]: segments of ``units`` [segments] opacity units with the ``mean`` [pieces, segments, 4] of
+    extinction and light, from front to back; only those that ``counts``."""
     depth = np.where(counts, mean[..., 0], 0.0) * units
     opacity, left = -np.expm1(-depth), np.exp(-(np.cumsum(depth, axis=1) - depth))
     color = mean[..., 1:] / np.maximum(mean[..., :1], 1e-300)

@@ -58,13 +58,13 @@ def test_a_library_in_the_process_does_not_change_how_it_ends(tmp_path, library,
               "--set", "image.height=16", "--quiet", "--device", report_of(device).name]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, "-c", code, library(what), *render], cwd=tmp_path,
-                          env=environment, capture_output=True, text=True, timeout=120)
+                          env=environment, capture_output=True, text=True, timeout=300)
     assert (done.returncode, done.stdout, done.stderr) == (0, "a.npy\n", "")
     assert np.load(tmp_path / "a.npy").shape == (16, 16, 4)
     # An error's status stays, too, where OpenCL was used.
     small = ["--set", 'integration.method="multiresolution"', "--set", 'multiresolution.memory="99 KiB"']
     done = subprocess.run([sys.executable, "-c", code, library(what), *render, *small],
-                          cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120)
+                          cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 2 and "multiresolution.memory" in done.stderr and done.stderr.count("\n") == 1
 
 
@@ -91,7 +91,7 @@ def test_a_platform_without_devices_that_spoils_the_end_is_left_out(tmp_path, li
                    "XDG_CACHE_HOME": str(tmp_path / "cache")}
     for _ in range(2):  # probed, and from the cache
         done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment,
-                              capture_output=True, text=True, timeout=120)
+                              capture_output=True, text=True, timeout=300)
         if "no device works" in done.stderr:
             pytest.skip("no OpenCL device works on this machine")
         assert done.returncode == 0, (done.returncode, done.stdout, done.stderr)
@@ -106,7 +106,7 @@ def test_what_is_to_be_done_at_the_end_is_done(tmp_path):
             "sys.stdout.write('text without a newline ')\n"
             "leave(7)\n")
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)},
-                          capture_output=True, text=True, timeout=60)
+                          capture_output=True, text=True, timeout=300)
     assert (done.returncode, done.stdout, done.stderr) == (7, "text without a newline hook\n", "")
 
 
@@ -115,5 +115,5 @@ def test_without_opencl_the_process_ends_as_any_other():
             "os._exit = lambda status: print('not so')\n"
             "leave(5)\n")
     done = subprocess.run([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": str(ROOT)},
-                          capture_output=True, text=True, timeout=60)
+                          capture_output=True, text=True, timeout=300)
     assert (done.returncode, done.stdout) == (5, "")

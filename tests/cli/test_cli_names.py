@@ -104,7 +104,7 @@ def test_the_search_for_a_time_takes_any_number(device):
 
 def command(*words: str, **how) -> subprocess.CompletedProcess:
     return subprocess.run(
-        [sys.executable, "-m", "clvol", *words], capture_output=True, text=True, timeout=60, **how
+        [sys.executable, "-m", "clvol", *words], capture_output=True, text=True, timeout=300, **how
     )
 
 
@@ -234,7 +234,7 @@ def test_standard_streams_that_are_closed(folder, closed):
         f"os.execv({sys.executable!r}, [{sys.executable!r}, '-m', 'clvol', *sys.argv[1:]])"
     )
     words = ["compare", "a.npy", "a.npy", "-o", "d.npy", "-o", "d.exr"]
-    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, timeout=300)
     assert done.returncode == 0
     for name in ("d.npy", "d.exr"):
         assert not load_image(name)["rgba"].any()

@@ -183,7 +183,7 @@ def test_the_manual_page_has_every_command_and_option(run):
 def test_groff_reads_the_manual_page(run):
     page = run("--man").out
     command = ["groff", "-Kutf8", "-man", "-Tutf8", "-ww"]
-    done = subprocess.run(command, input=page, capture_output=True, encoding="utf-8", timeout=60)
+    done = subprocess.run(command, input=page, capture_output=True, encoding="utf-8", timeout=300)
     assert (done.returncode, done.stderr) == (0, "")
     assert "EXIT STATUS" in done.stdout.replace("\x08", "") or "EEXXIITT" in done.stdout.replace("\x08", "")
 

@@ -94,5 +94,5 @@ def test_commands_options_keys_and_files_are_completed(run, monkeypatch, folder)
 @pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
 def test_bash_takes_the_script(run):
     script = run("completion", "bash").out
-    done = subprocess.run(["bash", "-c", script + "\ncomplete -p clvol"], capture_output=True, text=True, timeout=60)
+    done = subprocess.run(["bash", "-c", script + "\ncomplete -p clvol"], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0 and "_clvol_completion" in done.stdout

@@ -32,7 +32,7 @@ def test_the_script_for_sbatch_renders(tmp_path):
     environment = {**os.environ, "PATH": f"{tools}:{os.environ['PATH']}", "PYTHONPATH": str(JOBS.parents[2])}
     done = subprocess.run(
         ["bash", JOBS / "slurm.sh", "film.toml", "f_%02d.npy"], cwd=tmp_path, env=environment, capture_output=True,
-        text=True, timeout=120,
+        text=True, timeout=300,
     )  # fmt: skip
     assert done.returncode == 0, done
     assert sorted(path.name for path in tmp_path.glob("f_*.npy")) == names(3) and half_files(tmp_path) == []

@@ -26,7 +26,7 @@ def truth(tmp_path_factory) -> list[np.ndarray]:
     """The frames of one process that nobody killed."""
     folder = tmp_path_factory.mktemp("truth")
     write_film(folder)
-    assert clvol("render", "film.toml", "-o", "f_%02d.npy", folder=folder).wait(timeout=120) == 0
+    assert clvol("render", "film.toml", "-o", "f_%02d.npy", folder=folder).wait(timeout=300) == 0
     return [np.load(folder / name) for name in names()]
 
 
@@ -61,7 +61,7 @@ def play(kind: str, folder, truth, seed: int) -> None:
                 workers = dask.workers()
                 chance.shuffle(workers)
                 kill(workers[: 1 if kind == "worker" else -1])
-            told, said = command.communicate(timeout=120)
+            told, said = command.communicate(timeout=300)
         finally:
             command.kill()
         assert half_files(folder) == []
@@ -77,7 +77,7 @@ def play(kind: str, folder, truth, seed: int) -> None:
         wait_until(lambda: kind == "scheduler" or gave_up or dask.workers())
     if command.returncode != 0:
         again = clvol(*words, "--quiet", folder=folder)
-        assert again.wait(timeout=120) == 0
+        assert again.wait(timeout=300) == 0
     assert made(folder) == names() and half_files(folder) == []
     for name, rgba in zip(names(), truth):
         np.testing.assert_array_equal(np.load(folder / name), rgba)
@@ -99,13 +99,13 @@ def test_local_workers_end_with_their_client(tmp_path, truth):
     wait_until(lambda: made(tmp_path) or command.poll() is not None)
     workers = workers_of(command.pid)
     kill([command.pid])
-    command.communicate(timeout=60)
+    command.communicate(timeout=300)
     assert len(workers) == 2
     import psutil
 
     wait_until(lambda: not any(psutil.pid_exists(pid) and psutil.Process(pid).status() != "zombie" for pid in workers))
     assert half_files(tmp_path) == []
-    assert clvol(*words, folder=tmp_path).wait(timeout=60) == 0
+    assert clvol(*words, folder=tmp_path).wait(timeout=300) == 0
     for name, rgba in zip(names(), truth):
         np.testing.assert_array_equal(np.load(tmp_path / name), rgba)
 
@@ -128,7 +128,7 @@ def test_a_frame_that_kills_its_workers_is_named_and_the_others_are_made(tmp_pat
     words = ["render", "film.toml", "-o", "f_%02d.npy", "--workers", "2", "--quiet"]
     done = subprocess.run(
         [sys.executable, "-m", "clvol", *words], cwd=tmp_path, env=environment, capture_output=True, text=True,
-        timeout=200,
+        timeout=300,
     )  # fmt: skip
     assert done.returncode == 4 and "frame 5: the workers that had this task died again and again" in done.stderr
     assert made(tmp_path) == [name for name in names() if name != "f_05.npy"]

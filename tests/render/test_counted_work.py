@@ -85,6 +85,6 @@ def test_a_plain_picture_imports_no_more_than_it_needs(tmp_path, device):
         f"import sys; from clvol.cli import main; status = main({words}); "
         f"sys.exit(status or ', '.join(sorted({unneeded} & set(sys.modules))) or 0)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert (tmp_path / "a.png").stat().st_size > 100

@@ -63,6 +63,26 @@ def test_no_picture_with_an_error_that_counts_is_less_exact_than_a_pre_integrate
     assert json.loads(json.dumps(frame.stats))["classification"]["name"] in ("post", "preintegrated")
 
 
+@pytest.mark.parametrize("edge, sharpness", [(24, 1.5), (32, 1.5), (24, 3.0)])
+def test_errors_that_cancel_along_a_ray_do_not_count(edge, sharpness, device):
+    """Rays pass a translucent blob as a whole, and midpoints then err less than in pieces of it."""
+    place = np.stack(np.meshgrid(*[np.linspace(-1, 1, edge)] * 3))
+    speckle = 20 * np.random.default_rng(0).random((edge, edge, edge))
+    volume = Volume((200 * np.exp(-sharpness**2 * (place**2).sum(axis=0)) + speckle).astype(np.uint8))
+    function = TransferFunction([0.0, 255.0], [0.0, 0.2], COLORS[:2])
+    errors = rule_errors(volume, function, 1.0)
+    assert errors is not None and errors.post < 0.8 * errors.preintegrated
+
+    def picture(rule: str, step: float) -> np.ndarray:
+        scene = scene_of(function, volume, classification=rule, step=step, step_error=0.0)
+        with Renderer(scene, devices=[device]) as renderer:
+            return renderer.render(depth=False).rgba
+
+    exact = picture("preintegrated", 0.1)
+    post, preintegrated = (np.mean((picture(rule, 1.0) - exact) ** 2) for rule in ("post", "preintegrated"))
+    assert post < preintegrated
+
+
 @pytest.mark.parametrize("name", ["pre", "post", "preintegrated"])
 def test_a_scene_that_names_its_classification_keeps_it(name):
     resolved = scene_of(PEAK, classification=name).resolve()

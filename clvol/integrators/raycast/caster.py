@@ -156,6 +156,8 @@ class Raycaster:
             resolved, lanes=self.lanes, skip=self.skip, function=function,
             varies=self.march.varies_steps and isinstance(self.volume, DeviceVolume),
         )
+        if mask.all() and self.switches.get("CONSTANT_CELLS"):
+            self.switches["SKIP_EMPTY"] = 0  # there is nothing to leap over, and rays look at another map
         self.map_cells, self.map_shift = self.volume.cells, self.volume.cell_shift
         self.octant_cells = 0
         self.visible_nodes = visible, at_nodes

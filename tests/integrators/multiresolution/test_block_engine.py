@@ -38,7 +38,7 @@ class Gate:
 
     def read(self, level, blocks):
         if not self.is_open:
-            assert self._open.acquire(timeout=60)
+            assert self._open.acquire(timeout=300)
         return self._inner.read(level, blocks)
 
 

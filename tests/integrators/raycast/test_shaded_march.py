@@ -67,6 +67,16 @@ CASES = {
                   {"type": "sphere", "center": [12.0, 9.0, 8.0], "radius": 3.0, "keep": "outside"}],
          "depth_cue": {"strength": 0.5}, "light": [SUN]},
     ),
+    "a point light among others, highlights of two sizes": (
+        waves((21, 19, 23), np.uint8), HAZE, {},
+        {"light": [{"type": "point", "position": [30.0, -8.0, 4.0], "color": [0.2, 0.9, 1.0]}, SUN, HEAD],
+         "material": {"shininess": 90.0, "specular": 0.6}},
+    ),
+    "two voxels thick, along the axes": (
+        waves((21, 2, 23), np.uint8), HAZE, {},
+        {"camera": {"projection": "orthographic", "height": 24.0, "position": [11.0, 0.5, -40.0],
+                    "target": [11.0, 0.5, 10.0], "up": [0.0, 1.0, 0.0]}},
+    ),
     "nearest, without light on one side, fading": (
         waves((21, 19, 23), np.uint8), HAZE, {"filter": "nearest"}, {"material": {"two_sided": False, "fade": 20.0}},
     ),
