@@ -175,8 +175,10 @@ def _frame_seconds(renderer: Any) -> float:
     return renderer.render(depth=False).stats["seconds"]["render"]
 
 
-def _whole_table(made: Any, front: np.ndarray, back: np.ndarray, exact: np.ndarray, entries: int) -> dict[str, Any]:
-    """The table of all segments of one length, by front and back value, bilinear, which integral tables stand in for."""
+def _whole_table(
+    made: Any, front: np.ndarray, back: np.ndarray, exact: np.ndarray, entries: int
+) -> dict[str, Any]:
+    """The table of all segments of one length, by front and back value, bilinear: what integral tables stand for."""
     from scipy.ndimage import map_coordinates
 
     from clvol.transfer.preintegration import preintegrate

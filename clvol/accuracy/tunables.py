@@ -218,7 +218,7 @@ NOT_TUNABLE: dict[str, str] = {
     "integration.compositing": "another picture: how the values along a ray become a pixel",
     "integration.blend": "another picture: how those of channels are put together",
     "integration.attenuation": "another picture: how much samples behind others contribute",
-    "integration.segments": "an approximation for comparison: the closed form is faster and more exact",
+    "integration.segments": "an approximation for comparison, whose error smaller steps make up for at once",
     "integration.table_size": "of the approximation that is for comparison",
     "integration.tolerance": "belongs to the method 'reference', against which errors are measured",
     "image.background": "another picture: what is behind the volume",
