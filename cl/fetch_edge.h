@@ -17,19 +17,33 @@ typedef struct {
   Edge low, high; /* y, y + 1 */
 } Face;
 
+/* As corner_offset(), in a row that may be the last one of what is stored, or in the last slice. */
+#if OWNED_BOX
+INLINE intN edge_offset(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
+{
+  const int4 to = view->stored_to + (int4)(0, VOXEL_PAIRS ? 0 : 1, 1, 0);
+  const intN x = min(max(ix, (intN)view->stored_from.x), (intN)to.x) - view->stored_from.x;
+  const intN y = min(max(iy, (intN)view->stored_from.y), (intN)to.y) - view->stored_from.y;
+  const intN z = min(max(iz, (intN)view->stored_from.z), (intN)to.z) - view->stored_from.z;
+  return z * view->slice_stride + y * view->row_stride + x;
+}
+#else
+#define edge_offset corner_offset
+#endif
+
 #if VOXEL_BITS == 8 && VOXEL_PAIRS
 
 INLINE Edge fetch_edge(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
 {
   const intN pair = min(iy, (intN)(view->size.y - 2));
-  const uintN w = gather2(volume, corner_offset(volume, view, ix, pair, iz)) >> (AS_UINT(iy - pair) << 3u);
+  const uintN w = gather2(volume, edge_offset(volume, view, ix, pair, iz)) >> (AS_UINT(iy - pair) << 3u);
   const Edge e = {BYTE(w, 0u), BYTE(w, 2u)};
   return e;
 }
 
 INLINE Face fetch_face(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
 {
-  const uintN w = gather2(volume, corner_offset(volume, view, ix, iy, iz));
+  const uintN w = gather2(volume, edge_offset(volume, view, ix, iy, iz));
   const Face f = {{BYTE(w, 0u), BYTE(w, 2u)}, {BYTE(w, 1u), BYTE(w, 3u)}};
   return f;
 }
@@ -38,7 +52,7 @@ INLINE Face fetch_face(__global const uchar *volume, __constant const View *view
 
 INLINE Edge fetch_edge(__global const uchar *volume, __constant const View *view, intN ix, intN iy, intN iz)
 {
-  const intN at = corner_offset(volume, view, ix, iy, iz);
+  const intN at = edge_offset(volume, view, ix, iy, iz);
   Edge e;
 #if VOXEL_BITS == 8
   const uintN w = gather1(volume, at);

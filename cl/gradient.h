@@ -268,7 +268,7 @@ INLINE Gradient gradient_at(__global const uchar *volume, __global const uint *g
 {
   const Place x = place_in_cell(px, view->upper.x, view->size.x), y = place_in_cell(py, view->upper.y, view->size.y);
   const Place z = place_in_cell(pz, view->upper.z, view->size.z);
-#if VOXEL_BITS == 8 && VOXEL_PAIRS
+#if VOXEL_BITS == 8 && VOXEL_PAIRS && !OWNED_BOX
   const intN beside = beside_faces(x, view->size.x) | beside_faces(y, view->size.y) | beside_faces(z, view->size.z);
   return any_lane(beside) ? face_gradient(volume, view, x, y, z)
                           : gradient_of_words(fetch_gradient(volume, view, x, y, z));

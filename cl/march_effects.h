@@ -25,6 +25,7 @@
 #include "features.h"
 #include "half_opacity.h"
 #include "march.h"
+#include "owned_box.h"
 #include "packet_spans.h"
 #include "rays.h"
 #include "scene.h"
@@ -115,6 +116,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
   uintN taken = 0;
   Gathered acc;
   gathered_clear(&acc);
+  BEGIN_OPACITY(acc, depth);
   HalfOpacity half_ = no_half(); /* in edges from the eye */
   Rays ray = whole_ray;
   floatN next_from = 0.0f;  /* where the next stretch may begin, along whole_ray */
@@ -243,23 +245,24 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
         if (k == 2) mid = value;
       }
 #endif
+      const intN owned = active & owns_front(view, &ray, t0);
       int visible = 1;
 #if !TRANSLUCENT
       visible = 0;
 #elif CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
       floatN a = front, b = back;
-      shift_ends(value2, &a, &b, length, active & MASK(joined != 0));
-      visible = may_be_visible(lane_min(a, b), lane_max(a, b), active, view);
-      if (visible & (TRANSFER_LAYERS == 0)) e = segment_emission_in(a, b, active, (intN)0, table, view);
+      shift_ends(value2, &a, &b, length, owned & MASK(joined != 0));
+      visible = may_be_visible(lane_min(a, b), lane_max(a, b), owned, view);
+      if (visible & (TRANSFER_LAYERS == 0)) e = segment_emission_in(a, b, owned, (intN)0, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST
-      visible = may_be_visible(mid, mid, active, view);
+      visible = may_be_visible(mid, mid, owned, view);
       if (visible & (TRANSFER_LAYERS == 0)) e = value_emission_in(mid, (intN)0, table, view);
 #endif
 #if TRANSLUCENT
 #if TRANSFER_LAYERS
-      intN shows = visible ? active : (intN)0; /* what it emits depends on the gradient */
+      intN shows = visible ? owned : (intN)0; /* what it emits depends on the gradient */
 #else
-      e.d = select((floatN)0.0f, e.d, active);
+      e.d = select((floatN)0.0f, e.d, owned);
       intN shows = MASK(e.d > 0.0f);
 #endif
 #if GLOW
@@ -268,17 +271,17 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
       intN glows = 0;
       if (visible) {
 #if NEEDS_ENDS
-        light = glow_between(scene, a, b, active);
+        light = glow_between(scene, a, b, owned);
 #else
-        light = glow_between(scene, mid, mid, active);
+        light = glow_between(scene, mid, mid, owned);
 #endif
-        glows = active & (MASK(light.x > 0.0f) | MASK(light.y > 0.0f) | MASK(light.z > 0.0f));
+        glows = owned & (MASK(light.x > 0.0f) | MASK(light.y > 0.0f) | MASK(light.z > 0.0f));
       }
       shows |= glows;
 #endif
 #if FIELDS
-      const FieldLook look_of_fields = look_at_fields(scene, &ray, t0, t1, xm, ym, zm, shows, active, counted);
-      shows = active & (shows | MASK(look_of_fields.added.d > 0.0f)) & MASK(look_of_fields.kept > 0.0f);
+      const FieldLook look_of_fields = look_at_fields(scene, &ray, t0, t1, xm, ym, zm, shows, owned, counted);
+      shows = owned & (shows | MASK(look_of_fields.added.d > 0.0f)) & MASK(look_of_fields.kept > 0.0f);
 #endif
       visible = any_lane(shows);
 #if GRADIENT && (LIGHTING || GRADIENT_DECIDES)
@@ -300,7 +303,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
         _Pragma("unroll 1") for (int k = 0; k < LAYER_CORNERS; ++k) {
           const intN first = layer_corner(layers, k);
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
-          const Emission layer = segment_emission_in(a, b, active, first, table, view);
+          const Emission layer = segment_emission_in(a, b, owned, first, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST
           const Emission layer = value_emission_in(mid, first, table, view);
 #else
@@ -322,7 +325,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
         e = no_emission();
 #endif
 #if FIELDS || GRADIENT_DECIDES || GLOW
-      e.d = select((floatN)0.0f, e.d, active);
+      e.d = select((floatN)0.0f, e.d, owned);
       shows &= MASK(e.d > 0.0f);
       visible = any_lane(shows);
 #endif
@@ -375,8 +378,8 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
         const floatN before_segment = acc.a;
 #endif
         const SurfacePassage passage = pass_surfaces(scene, &walk, scaled3(forward, -1.0f), from_edges, to_edges,
-                                                     length, e, visible, active,
-                                                     MASK(i == last), may_bend, &acc, &between, &taken, counted);
+                                                     length, e, visible, active, owned, MASK(i == last), may_bend,
+                                                     &acc, &between, &taken, counted);
 #if WITH_DEPTH
         const intN passes = MASK(between.from < INFINITY);
         if (any_lane(passes)) {
@@ -411,7 +414,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
 #else
       if (visible) {
         const floatN before = acc.a;
-        composite_emission(&acc, e, length, active);
+        composite_emission(&acc, e, length, owned);
         NOTE_FIRST(before, acc.a, ray.entry_depth + t0 * h);
 #if WITH_DEPTH
         const intN passes = passes_half(before, acc.a);

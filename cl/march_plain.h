@@ -45,6 +45,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
   uintN taken = 0;
   Gathered acc;
   gathered_clear(&acc);
+  BEGIN_OPACITY(acc, depth);
   HalfOpacity half_ = no_half(); /* in steps */
 #if !MIDPOINTS
   floatN value1 = 0.0f, value2 = 0.0f;  /* the last sample and the one before */

@@ -23,4 +23,12 @@ INLINE intN owns_front(__constant const View *view, const Rays *ray, floatN t)
 #define owns_front(view, ray, t) ((intN)(-1))
 #endif
 
+/* Where opacity reaches one half depends on what is in front of the box: rays begin with that opacity, which the host
+ * knows once all pictures are there, and puts where depths are written. Colours are of no use then. */
+#if OWNED_BOX && WITH_DEPTH
+#define BEGIN_OPACITY(acc, depth) acc.a = LOAD_LANES(depth);
+#else
+#define BEGIN_OPACITY(acc, depth)
+#endif
+
 #endif

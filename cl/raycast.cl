@@ -11,7 +11,7 @@
 /* The scene's arguments are described in scene.h.
  * image      float4 [height, width], premultiplied, linear
  * depths     float [height, width], world distance along the ray from the eye to where opacity reaches one half, else
- *            infinity
+ *            infinity; with OWNED_BOX the opacity in front of this device's box, before
  * samples    uint [tiles], reconstructions of the volume
  * starts, kept, tallies   where COHERENT is set (coherence.h)
  */
@@ -70,6 +70,13 @@ __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict i
 #endif
     float rgba[4 * LANES], depth[LANES];
     uint taken[LANES];
+#if OWNED_BOX && WITH_DEPTH
+    EACH_LANE(k)
+    {
+      const int x = column + k % PACKET_W, y = row + k / PACKET_W;
+      depth[k] = x < width && y < height ? depths[(size_t)y * width + x] : 0.0f;
+    }
+#endif
     const intN lane = LANE_INDEX;
     const intN px = column + (lane & (PACKET_W - 1)), py = row + lane / PACKET_W;
 #if COHERENT

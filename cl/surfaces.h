@@ -12,6 +12,7 @@
 #include "composite.h"
 #include "emission.h"
 #include "half_opacity.h"
+#include "owned_box.h"
 #include "rays.h"
 #include "scene.h"
 #include "scene_value.h"
@@ -91,11 +92,10 @@ INLINE void composite_stretch(Gathered *acc, Emission e, floatN length, floatN f
 
 /* The surfaces of a walk in one segment, from t0 to t1 in edges, `length` steps long, with the volume before, between
  * and behind them: `e` of a whole step, nothing unless `visible`. Lanes in `last`: nothing of the walk is left for
- * another segment. */
+ * another segment. Of `active` lanes those that are not `owned` pass their surfaces without a trace (owned_box.h). */
 INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vectors view, floatN t0, floatN t1,
-                                    floatN length,
-                                    Emission e, int visible, intN active, intN last, intN may_bend, Gathered *acc,
-                                    HalfBetween *half_, uintN *taken, Tally *counted)
+                                    floatN length, Emission e, int visible, intN active, intN owned, intN last,
+                                    intN may_bend, Gathered *acc, HalfBetween *half_, uintN *taken, Tally *counted)
 {
   __constant const Effects *effects = scene->effects;
   const float steps = 1.0f / scene->view->step, enough = scene->view->stop_opacity;
@@ -117,14 +117,19 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vecto
     if (!any_lane(crosses)) continue;
 #endif
     const floatN place = select(front, lane_clamp(walk->at, front, t1), crosses);
-    if (visible) composite_stretch(acc, e, steps * (place - front), front, place, crosses, half_);
+#if OWNED_BOX
+    const intN shown = crosses & (TRANSLUCENT ? owned : owns_front(scene->view, &walk->ray, walk->at));
+#else
+    const intN shown = crosses;
+#endif
+    if (visible) composite_stretch(acc, e, steps * (place - front), front, place, shown, half_);
     front = place;
     const intN surface = effects->first_surface + 3 * walk->surface;
     const intN color_at = 4 * (surface + 1) + select((intN)4, (intN)0, walk->rising);
     Vectors color = {AS_FLOAT(gather4(scene->items, color_at)), AS_FLOAT(gather4(scene->items, color_at + 1)),
                      AS_FLOAT(gather4(scene->items, color_at + 2))};
     const floatN opacity = AS_FLOAT(gather4(scene->items, 4 * surface + 1));
-    const floatN left = select((floatN)0.0f, 1.0f - acc->a, crosses);
+    const floatN left = select((floatN)0.0f, 1.0f - acc->a, shown);
 #if GRADIENT
     const Vectors sloped = gradient_place(walk, at), gradient = scene_gradient(scene, sloped.x, sloped.y, sloped.z);
     const Vectors normal = directed3(gradient, -1.0f);
@@ -161,7 +166,7 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vecto
     }
 #endif
   }
-  const intN rest = active & ~passage.bends;
+  const intN rest = owned & ~passage.bends;
   /* A segment without a surface is what it is without surfaces, bit for bit. */
   if (visible) composite_stretch(acc, e, select(steps * (t1 - front), length, MASK(front == t0)), front, t1, rest,
                                  half_);

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,6 @@ from clvol.bricks.tree import Box, Tree, divided, most_boxes
 from clvol.device.effect_switches import effect_switches
 from clvol.errors import SceneError
 from clvol.features import reduced_for_frames
-from clvol.features.analysis import called_for
 from clvol.features.compression import is_compressed
 from clvol.integrators.raycast.caster import Raycaster
 from clvol.integrators.raycast.integrator import INTEGRATOR
@@ -24,7 +23,14 @@ from clvol.scene import load_scene
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume.voxel_layout import padded_size
 
-_PLAIN = "emission-absorption"
+_NEARLY = 1e-6  # opacity: in which of two bricks it reaches one half may depend on rounding
+# Switches of effects that are no sum over a ray's segments, each of which depends on voxels beside it alone.
+_NOT_IN_PARTS = {
+    "SHADOWS": ("shadow", "and light comes to a brick through all others"),
+    "ENVIRONMENT_VISIBLE": ("environment.visible", "behind which all others lie"),
+    "REFRACTION": ("isosurface.refraction", "behind which rays go on through other bricks"),
+    "NOISE": ("noise", "and it moves places from one brick to another"),
+}
 
 
 @dataclass(frozen=True)
@@ -66,6 +72,26 @@ class Bricks:
         data = caster.render(resolved.camera, image.width, image.height, depth=False)
         return PartialPicture(data.rgba, data.samples, volume.nbytes)
 
+    def depth(self, context: DeviceContext, number: int, in_front: np.ndarray) -> np.ndarray:
+        """float32 [height, width]: where opacity reaches one half within the brick ``number``, as ``Frame.depth``;
+        infinite elsewhere. ``in_front`` float32 [height, width]: the opacity of what is nearer."""
+        resolved, box, image = self.resolved, self.boxes[number], self.resolved.image
+        volume = PartVolume(context, resolved, box.lower, box.upper)
+        volume.in_front = in_front
+        found = Raycaster(context, resolved, volume=volume).render(resolved.camera, image.width, image.height).depth
+        assert found is not None  # as requested
+        return found
+
+    def in_front(self, opacities: Sequence[np.ndarray]) -> Iterator[tuple[int, np.ndarray]]:
+        """The bricks within which opacity may reach one half, nearer ones first, with the opacity in front of each:
+        float32 [height, width]. ``opacities`` float32 [height, width]: of the pictures of all bricks by number."""
+        left = np.ones(opacities[0].shape)
+        for number in self.order():
+            behind = left * (1.0 - opacities[number].astype(np.float64))
+            if ((left > 0.5 - _NEARLY) & (behind <= 0.5 + _NEARLY)).any():
+                yield number, (1.0 - left).astype(np.float32)
+            left = behind
+
     def composited(self, partial: Sequence[np.ndarray]) -> np.ndarray:
         """The whole picture, of those of all bricks by number."""
         image = self.resolved.image
@@ -76,7 +102,9 @@ def bricks_of(resolved: ResolvedScene, count: int) -> Bricks:
     """``resolved`` in ``count`` bricks. SceneError for a scene that bricks cannot render, with the reason."""
     check_bricks(resolved, count)
     integration = resolved.integration.model_copy(update={"step_error": 0.0})
-    return Bricks(replace(resolved, integration=integration), divided(padded_size(resolved.volume), count))
+    gradient = resolved.gradient.model_copy(update={"storage": "on-the-fly"})
+    in_parts = replace(resolved, integration=integration, gradient=gradient)
+    return Bricks(in_parts, divided(padded_size(resolved.volume), count))
 
 
 def check_bricks(resolved: ResolvedScene, count: int) -> None:
@@ -91,26 +119,38 @@ def check_bricks(resolved: ResolvedScene, count: int) -> None:
          "'stored'"),
         (image.ray_spacing > 1, "image.ray_spacing", str(image.ray_spacing), "1"),
         (image.samples > 1, "image.samples", str(image.samples), "1: edges of a brick are not those of the picture"),
+        (bool(resolved.channels), "volume.channels", "several values per voxel", "one"),
+        (any(field.role == "color" for field in resolved.fields), "field", "colours of voxels", "a scene without"),
         (is_compressed(resolved), "compression", "codes in place of voxels", "voxels as they are"),
         (resolved.volume.dtype == np.float64, "volume", "float64 voxels", "float32 or integers"),
     ]  # fmt: skip
     for is_wrong, key, got, expected in asked:
         if is_wrong:
             raise SceneError(f"{resolved.origin}: {key}", f"got {got} for bricks", expected)
-    if effect_switches(reduced_for_frames(resolved)):
-        effects = [name for name in called_for(resolved) if name != _PLAIN and not name.endswith("filter")]
-        what = f"bricks render emission and absorption, and the scene has {', '.join(effects)}"
-        raise SceneError(resolved.origin, what, "a scene without, or the whole volume on one device")
+    switches = effect_switches(reduced_for_frames(resolved))
+    for switch, (key, reason) in _NOT_IN_PARTS.items():
+        if switches.get(switch):
+            raise SceneError(f"{resolved.origin}: {key}", f"got it for bricks, {reason}", "a scene without")
     if count > (most := most_boxes(padded_size(resolved.volume))):
         raise SceneError(f"{resolved.origin}: volume", f"{count} bricks of so small a volume", f"at most {most}")
 
 
+def nearest(depths: Iterable[np.ndarray], height: int, width: int) -> np.ndarray:
+    """float32 [height, width]: of each pixel the first of ``depths`` that is finite; infinite where none is."""
+    found = np.full((height, width), np.inf, np.float32)
+    for depth in depths:
+        np.copyto(found, depth, where=np.isinf(found))
+    return found
+
+
 def render_in_bricks(
-    context: DeviceContext, resolved: ResolvedScene, count: int, progress: Callable[[int, int], None] | None = None
-) -> tuple[np.ndarray, int]:
+    context: DeviceContext, resolved: ResolvedScene, count: int, progress: Callable[[int, int], None] | None = None,
+    depth: bool = False,
+) -> tuple[np.ndarray, np.ndarray | None, int]:  # fmt: skip
     """The picture of ``resolved``, float32 [height, width, 4], from ``count`` bricks that are on the device one after
-    the other; and the number of samples. It is that of the whole volume to within 1e-6 for early_termination = 0, and
-    within early_termination otherwise, since each brick's rays end by themselves.
+    the other; its ``depth``, float32 [height, width], if that is wanted; and the number of samples. It is that of the
+    whole volume to within 1e-6 for early_termination = 0, and within early_termination otherwise, since each brick's
+    rays end by themselves.
 
     SceneError for a scene that bricks cannot render.
     """
@@ -122,7 +162,12 @@ def render_in_bricks(
         samples += made.samples
         if progress is not None:
             progress(number + 1, count)
-    return bricks.composited(partial), samples
+    depths = None
+    if depth:  # of those bricks once more, now that it is known what is in front of them
+        places = bricks.in_front([each[..., 3] for each in partial])
+        found = (bricks.depth(context, number, in_front) for number, in_front in places)
+        depths = nearest(found, resolved.image.height, resolved.image.width)
+    return bricks.composited(partial), depths, samples
 
 
 class BricksRun:
@@ -137,6 +182,9 @@ class BricksRun:
 
     def make(self, number: int) -> PartialPicture:
         return self._bricks.render(self._context, number)
+
+    def depth(self, number: int, in_front: np.ndarray) -> np.ndarray:
+        return self._bricks.depth(self._context, number, in_front)
 
     def close(self) -> None:
         self._context.release()

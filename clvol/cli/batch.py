@@ -11,6 +11,7 @@ import click
 
 from clvol.cli.devices import measure_for_all
 from clvol.cli.options import complete_file, memory_cap_option
+from clvol.cli.standard_output import is_standard
 from clvol.cli.workers import check_workers, connection, workers_options
 from clvol.errors import UsageError
 
@@ -131,6 +132,9 @@ def _make_folders(pictures: Sequence[Picture], results: str) -> None:
     """Makes the folders of the pictures, and checks that results can be written."""
     from clvol.image import check_output_folder
 
+    if is_standard(results):
+        what = f"got {results!r}, where the lines are printed already"
+        raise UsageError("--results", what, "a file, which tells a later run what has been done")
     check_output_folder(results)
     for folder in dict.fromkeys(os.path.dirname(path) for p in pictures for path in p.files):
         try:

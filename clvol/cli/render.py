@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clvol.cli.bricks import render_bricks
+from clvol.cli.bricks import picture_in_bricks
 from clvol.cli.devices import measure_for_all
 from clvol.cli.options import complete_file, memory_cap_option, overrides_option
 from clvol.cli.workers import check_alone, connection, picture_elsewhere, render_on_workers, workers_options
@@ -191,11 +191,15 @@ def _render(
     loaded = load_scene(scene, overrides)
     with protected(scene_inputs(scene, loaded)):
         if bricks is not None:
-            check_alone("--bricks", loaded, max_error=max_error, time_budget=time_budget, show_schedule=show_schedule)
+            check_alone(
+                "--bricks", loaded, max_error=max_error, time_budget=time_budget, frames=frames,
+                show_schedule=show_schedule, pixel_area=pixel_area or None, isolate=isolate or None,
+            )  # fmt: skip
             outputs = check_still(outputs, resume)
-            render_bricks(
-                cluster, scene, overrides, loaded, outputs, stats, bricks, quiet=quiet, devices=devices,
-                memory_cap=memory_cap,
+            render_still(
+                loaded, outputs, stats, devices, memory_cap, quiet, start, isolate=False, max_error=None,
+                time_budget=None, show_schedule=None,
+                elsewhere=picture_in_bricks(cluster, scene, overrides, loaded, bricks, devices, memory_cap),
             )  # fmt: skip
             return
         steps = _frames_by_step(loaded, outputs, frames, memory_cap)

@@ -99,22 +99,26 @@ def render_on_workers(
     from clvol.cli.animation import Totals, checked_outputs, made_from_all, write_stats
     from clvol.cli.console import note, say_path, working
     from clvol.cli.standard_output import is_standard, kept_clean
+    from clvol.cli.video_parts import VideoParts
     from clvol.cluster.frames import MadeFrame, frames_on_workers
     from clvol.image import atomic_paths, open_video
 
     start = time.perf_counter()
     videos, stills, others = checked_outputs(scene, outputs, stats)
-    if resume and videos:
-        raise UsageError("--resume", f"given with {videos[0]}", "numbered pictures only, with workers")
+    parts = VideoParts(scene, videos) if resume and videos else None
     of_all: Callable[[], dict[str, Any]] | None = None
     if videos:  # they say which voxels they show
         with working("loading", quiet, scene.input_paths):
             scene.load(memory_cap)
             of_all = partial(made_from_all, scene.resolve(memory_cap))
     numbers = list(range(scene.animation.frames))[frames]
+    patterns = list(stills)
+    if parts is not None:
+        parts.begin()
+        patterns.append(parts.pattern)
     animation = Animation(
-        path, list(overrides), stills, shown=bool(videos), resume=resume, devices=devices, memory_cap=memory_cap,
-        isolate=isolate,
+        path, list(overrides), patterns, shown=bool(videos) and parts is None, resume=resume, devices=devices,
+        memory_cap=memory_cap, isolate=isolate,
     )  # fmt: skip
     made, totals = list[MadeFrame](), Totals()
     with ExitStack() as stack:
@@ -127,12 +131,12 @@ def render_on_workers(
         for frame in frames_on_workers(cluster, animation, [path, *scene.input_paths], numbers):
             made.append(frame)
             if frame.error is not None:
-                if videos:  # which cannot lack a frame
+                if animation.shown:  # no video lacks a frame
                     break
                 continue
             if not frame.is_kept:
                 totals.add(frame.stats, frame.write)
-            for writer in writers:
+            for writer in writers if animation.shown else ():
                 assert frame.shown is not None  # as requested
                 writer.add_shown(frame.shown)
             if progress is not None:
@@ -140,6 +144,8 @@ def render_on_workers(
         failed = [frame for frame in made if frame.error is not None]
         if failed and (videos or others):
             raise _as_error(failed)
+        if parts is not None:
+            parts.add_to(writers, numbers)
         for writer in writers:
             writer.finish()
         if stats is not None:
@@ -148,6 +154,8 @@ def render_on_workers(
             workers = len({frame.worker for frame in made if frame.worker})
             known = totals.stats() | {"frames": len(made) - kept, "frames_kept": kept, "workers": workers}
             write_stats(known, write_standard if is_standard(stats) else temporaries[-1].write_bytes)
+    if parts is not None:
+        parts.remove(numbers)
     say = note if is_standard(stats) else say_path
     written = sorted(frame.index for frame in made if not frame.is_kept and frame.error is None)
     for name in [*(numbered(each, index) for index in written for each in stills), *videos, *others]:

@@ -1,6 +1,7 @@
 """Work shared by the workers of a dask cluster: processes of this machine, or of many.
 
 connection.py   local workers, or a cluster that exists
+local.py        the processes of local workers (process.py), which are replaced when they die
 facts.py        what a worker must have in common with the client: version, kernels, files
 queue.py        hands tasks to workers, each until it is done once; leaves out workers that do not fit
 worker.py       what a worker does

@@ -7,15 +7,18 @@ import logging
 import os
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
+from clvol.cluster.local import LocalWorkers
+from clvol.cluster.quiet import silence
 from clvol.errors import RenderError, UsageError
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, LocalCluster
 
 DEATHS = 3  # of workers that had the same task, after which dask gives it up
 CONNECT_SECONDS = 10.0
@@ -71,26 +74,33 @@ def _local(count: int) -> Iterator[Connection]:
     import dask
     from distributed import Client, LocalCluster, Security
 
-    _silence()
+    silence()
     wait = float(dask.config.get(_NO_WORKERS) or _WAIT)
     settings = {"distributed.scheduler.allowed-failures": DEATHS - 1, _NO_WORKERS: wait}
-    try:
-        with dask.config.set(settings), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the port of a dashboard that nobody asks for may be taken
-            cluster = LocalCluster(
-                n_workers=count, threads_per_worker=1, processes=True, host="127.0.0.1", protocol="tcp",
-                dashboard_address=None, memory_limit=0, resources={"opencl": 1}, silence_logs=logging.CRITICAL,
-                security=Security(require_encryption=False),
-            )  # fmt: skip
-    except (OSError, RuntimeError, TimeoutError) as error:
-        raise RenderError("--workers", f"processes cannot be started: {error}") from None
-    client = Client(cluster)
-    try:
+    with ExitStack() as stack:
+        try:
+            with dask.config.set(settings), warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # the port of a dashboard that nobody asks for may be taken
+                cluster = LocalCluster(
+                    n_workers=0, host="127.0.0.1", protocol="tcp", dashboard_address=None,
+                    silence_logs=logging.CRITICAL, security=Security(require_encryption=False),
+                )  # fmt: skip
+        except (OSError, RuntimeError, TimeoutError) as error:
+            raise RenderError("--workers", f"their scheduler cannot be started: {error}") from None
+        scratch = stack.enter_context(TemporaryDirectory(prefix="clvol-", ignore_cleanup_errors=True))
+        workers = LocalWorkers(cluster.scheduler_address, count, scratch)
+        stack.callback(workers.close)
+        stack.callback(_close_cluster, cluster)
+        client = Client(cluster)
+        stack.callback(_close, client)
+        stack.callback(workers.stop_replacing)
+        workers.wait_for_one(wait)
         yield Connection(client, "local workers", wait, shares(count))
-    finally:
-        _close(client)
-        with suppress(Exception):
-            cluster.close(timeout=5)
+
+
+def _close_cluster(cluster: LocalCluster) -> None:
+    with suppress(Exception):
+        cluster.close(timeout=5)
 
 
 def shares(count: int) -> list[list[int]]:
@@ -105,7 +115,7 @@ def _joined(scheduler: str) -> Iterator[Connection]:
     import dask
     from distributed import Client
 
-    _silence()
+    silence()
     address = _address_in(scheduler) if Path(scheduler).is_file() else scheduler
     if ":" not in address:
         expected = "an address such as tcp://host:8786, or a file that 'dask scheduler --scheduler-file' has written"
@@ -119,13 +129,6 @@ def _joined(scheduler: str) -> Iterator[Connection]:
         yield Connection(client, scheduler, float(dask.config.get(_NO_WORKERS) or _WAIT), [])
     finally:
         _close(client)
-
-
-def _silence() -> None:
-    """Keeps dask's logs from the terminal: most of what they say is about workers that end, which is handled here."""
-    for name in [*logging.root.manager.loggerDict, "distributed"]:
-        if name.split(".")[0] == "distributed":
-            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
 
 
 def _address_in(file: str) -> str:

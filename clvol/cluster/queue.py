@@ -36,6 +36,7 @@ _MANY = 50  # more seldom if there are more than this many,
 _PAUSE = 1.0  # before a task is tried again that others were doing,
 _LOST = 5.0  # and until a scheduler counts as lost
 _RESULT_SECONDS = 60.0
+_WINK = 0.01  # seconds between looks at tasks that take no longer
 _MOST_TRIES = 20
 
 Request = dict[str, Any]
@@ -65,11 +66,12 @@ class _Flight:
 
 @dataclass
 class Answer:
-    """``number`` of the task, and what its worker said; or ``error``, why there will be no answer, with the command's
-    exit ``status``."""
+    """``number`` of the task, and what its worker said, or the ``future`` of that, where the queue ``keeps`` it; or
+    ``error``, why there will be no answer, with the command's exit ``status``."""
 
     number: int
     said: dict[str, Any] = field(default_factory=dict)
+    future: Future | None = None
     error: str | None = None
     status: int = RenderError.exit_status
 
@@ -79,10 +81,14 @@ class TaskQueue:
     working folder of all tasks. A worker that does not fit is left out, with a ``ClvolWarning`` that says why.
 
     An answer of {"mismatch": reason} leaves the worker that it comes from out, and {"busy": true} has the task tried
-    again later.
+    again later. A queue that ``keeps`` answers leaves them with the workers, unread: see ``told``. An array in
+    ``request["data"]`` becomes a second argument.
     """
 
-    def __init__(self, connection: Connection, function: Callable[..., Any], folder: str) -> None:
+    def __init__(
+        self, connection: Connection, function: Callable[..., Any], folder: str, keeps: bool = False
+    ) -> None:
+        self._keeps = keeps
         self._connection, self._client, self._function = connection, connection.client, function
         self._common = {"facts": program_facts(), "folder": folder}
         self._name = f"clvol-{secrets.token_hex(6)}"
@@ -121,6 +127,36 @@ class TaskQueue:
                         yield answer
         finally:
             self._cancel()
+
+    def told(self, answers: Sequence[Answer]) -> list[dict[str, Any]]:
+        """What workers said in ``answers`` that are kept, without their pixels. A worker that does not fit is left out:
+        what it has said is no answer."""
+        told = self.results([self._client.submit(worker.told_of, each.future, pure=False) for each in answers])
+        for said in told:
+            if "mismatch" in said:
+                self._mismatch(said)
+        return told
+
+    def results(self, futures: Sequence[Future]) -> list[Any]:
+        """The results of tasks. What they need and a worker had that has died is made again, by dask. RenderError for a
+        task that fails, and if the scheduler is lost."""
+        found = []
+        for future in futures:
+            self._well = time.monotonic()
+            while not future.done():
+                time.sleep(_WINK)
+                now = time.monotonic()
+                if self._client.status == "running":
+                    self._well = now
+                else:
+                    self._check_scheduler(now)
+            result = _result(future)
+            if result is None:
+                self._check_scheduler(time.monotonic())
+                reason = future.exception() if future.status == "error" else f"it is {future.status}"
+                raise RenderError(self._connection.name, one_line(f"a task has failed: {reason}"))
+            found.append(result)
+        return found
 
     # ---- workers
 
@@ -229,9 +265,11 @@ class TaskQueue:
         self._tries[number] += 1
         key = f"{self._name}-{number}-{self._tries[number]}"
         those = sorted(good) if self.left_out else None  # any worker, if all of them fit
+        request = {**self._common, **requests[number]}
+        data = [request.pop("data")] if "data" in request else []
         future = self._client.submit(
-            self._function, json.dumps({**self._common, **requests[number]}), key=key, workers=those,
-            allow_other_workers=False, pure=False, resources={"opencl": 1}, retries=RETRIES,
+            self._function, json.dumps(request), *data, key=key, workers=those, allow_other_workers=False, pure=False,
+            resources={"opencl": 1}, retries=RETRIES,
         )  # fmt: skip
         flight = self._flights[number] = _Flight(number, future, frozenset(those or ()))
         future.add_done_callback(lambda _: self._events.put(flight))
@@ -257,6 +295,8 @@ class TaskQueue:
         """The answer to a task; None if it is to be tried again."""
         del self._flights[flight.number]
         number, future = flight.number, flight.future
+        if self._keeps and future.status == "finished":
+            return Answer(number, future=future)
         said = _result(future)
         if said is not None:
             if said.get("busy"):

@@ -19,6 +19,7 @@ import numpy as np
 from clvol.batch.frames import FramesRun
 from clvol.batch.job import Picture
 from clvol.batch.run import JobRun, Options
+from clvol.bricks.composite import composited
 from clvol.bricks.render import BricksRun
 from clvol.cluster.facts import Digests, different_program
 from clvol.errors import ClvolError, ClvolWarning, DeviceError
@@ -76,6 +77,34 @@ def brick(request: str) -> dict[str, Any]:
         return {"pixels": made.rgba, "samples": made.samples, "bytes": made.bytes}
 
     return _answered(request, work)
+
+
+def brick_depth(request: str, in_front: np.ndarray) -> dict[str, Any]:
+    """Finds depths in a brick behind what has the opacity ``in_front``: "pixels" float32 [height, width]."""
+
+    def work(asked: dict[str, Any]) -> dict[str, Any]:
+        run = _kept(asked["scene"], lambda: BricksRun(**asked["scene"]))
+        return {"pixels": run.depth(asked["brick"], in_front)}
+
+    return _answered(request, work)
+
+
+def told_of(answer: dict[str, Any]) -> dict[str, Any]:
+    """An answer without its pixels."""
+    return {name: value for name, value in answer.items() if name != "pixels"}
+
+
+def opacity_of(answer: dict[str, Any]) -> np.ndarray:
+    return np.ascontiguousarray(answer["pixels"][..., 3])
+
+
+def rows_of(answer: dict[str, Any], top: int, bottom: int) -> np.ndarray:
+    return np.ascontiguousarray(answer["pixels"][top:bottom])
+
+
+def composited_rows(partial: list[np.ndarray]) -> np.ndarray:
+    """The same rows of partial pictures, the nearest first, put together."""
+    return composited(partial, *partial[0].shape[:2])
 
 
 def tiles(request: str) -> dict[str, Any]:

@@ -52,6 +52,7 @@ class ResidentVolume:
     layout: dict[str, int] = {}
     view_fields: dict[str, tuple[float, ...]] = {}  # (x, y, z) of members of ``View`` that are of this volume alone
     has_fine_bounds = False
+    in_front: np.ndarray | None = None  # of a part of a volume, as in ``PartVolume``
 
     @property
     def value_range(self) -> tuple[float, float]:

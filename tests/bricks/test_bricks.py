@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from helpers.small_scenes import SMOOTH, axis_camera, make_scene, picture, waves
 
-from clvol import Light, TransferFunction, Volume
+from clvol import TransferFunction
 from clvol.bricks.render import bricks_of, render_in_bricks
 from clvol.errors import SceneError
 from clvol.integrators.raycast.part_volume import PartVolume
@@ -27,7 +27,7 @@ def check(context, resolved, counts=(2, 5, 12)) -> None:
     whole = picture(context, resolved).rgba
     assert whole[..., 3].max() > 0.1
     for count in counts:
-        bricks, samples = render_in_bricks(context, resolved, count)
+        bricks, _, samples = render_in_bricks(context, resolved, count)
         assert samples > 0
         assert np.abs(bricks - whole).max() < 1e-6, count
 
@@ -116,7 +116,7 @@ def test_a_volume_of_which_a_box_is_read_is_never_read_whole(context, tmp_path):
     scene = Scene.from_data(tables, "scene", tmp_path).model_copy(update={"transfer_function": SMOOTH})
     resolved = scene.resolve()
     assert isinstance(resolved.volume, LazyVolume)
-    rgba, _ = render_in_bricks(context, resolved, 4)
+    rgba, _, _ = render_in_bricks(context, resolved, 4)
     assert not resolved.volume.is_read
     whole = make_scene(np.load(tmp_path / "v.npy"), SMOOTH, classification="preintegrated")
     assert np.abs(rgba - picture(context, whole).rgba).max() < 1e-6
@@ -134,15 +134,3 @@ def test_a_volume_of_which_a_box_is_read_is_never_read_whole(context, tmp_path):
 def test_what_bricks_cannot_do_is_refused(how, told):
     with pytest.raises(SceneError, match=told):
         bricks_of(make_scene(waves(SIZE, np.uint8), **how), 2)
-
-
-def test_effects_are_refused_by_name():
-    from clvol import Scene
-
-    scene = Scene(volume=Volume(waves(SIZE, np.uint8)), transfer_function=SMOOTH, light=[Light(type="headlight")])
-    with pytest.raises(SceneError, match="bricks render emission and absorption, and the scene has"):
-        bricks_of(scene.resolve(), 2)
-    with pytest.raises(SceneError, match="float64"):
-        bricks_of(make_scene(waves(SIZE, np.float64)), 2)
-    with pytest.raises(SceneError, match="9 bricks of so small a volume, expected at most"):
-        bricks_of(make_scene(waves((4, 4, 4), np.uint8)), 9)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.clusters import FRAMES, names, write_film
+from helpers.clusters import FRAMES, names, workers_of, write_film
 
 from clvol.batch.frames import Animation
 from clvol.batch.job import load_job, pictures_of
@@ -18,6 +18,8 @@ from clvol.batch.results import results_in
 from clvol.batch.run import JobRun, Options
 from clvol.bricks.render import bricks_of
 from clvol.cli import main
+from clvol.cli.workers import render_on_workers
+from clvol.cluster import local as local_module
 from clvol.cluster.bricks import bricks_on_workers
 from clvol.cluster.connection import check_installed, connected, shares
 from clvol.cluster.facts import Digests
@@ -75,7 +77,7 @@ def check_frames(alone) -> None:
 
 
 def workers() -> list[int]:
-    return [c.pid for c in psutil.Process().children(recursive=True) if "spawn_main" in " ".join(c.cmdline())]
+    return workers_of(os.getpid())
 
 
 def test_frames_are_those_of_one_process_and_two_workers_share_them(local, alone):
@@ -99,6 +101,20 @@ def test_frames_as_displayed_come_in_order(local):
     made = list(frames_on_workers(local, Animation("film.toml", [], [], shown=True), ["film.toml"], [3, 1, 7, 2]))
     assert [frame.index for frame in made] == [3, 1, 7, 2]
     assert all(frame.shown.dtype == np.uint8 and frame.shown.shape == (40, 40, 3) for frame in made)
+
+
+def test_a_video_that_is_resumed_is_the_one_that_is_made_at_once(local):
+    pattern = "v.apng.frames/%06d.png"
+    os.mkdir("v.apng.frames")
+    begun = list(frames_on_workers(local, Animation("film.toml", [], [pattern], resume=True), ["film.toml"], [0, 3]))
+    assert not any(frame.error for frame in begun) and len(os.listdir("v.apng.frames")) == 2
+    how: dict = {"frames": slice(5), "quiet": True, "devices": None, "memory_cap": None, "isolate": False}
+    scene = load_scene("film.toml")
+    for name, resume in (("w.apng", False), ("v.apng", True)):
+        render_on_workers(local, "film.toml", [], scene, [name], f"{name}.json", resume=resume, **how)
+    assert Path("v.apng").read_bytes() == Path("w.apng").read_bytes()
+    kept = json.loads(Path("v.apng.json").read_text())["frames_kept"]
+    assert kept == 2 and not os.path.exists("v.apng.frames")
 
 
 def test_a_scene_that_is_wrong_is_an_error_of_each_frame(local):
@@ -140,14 +156,35 @@ STILL = ["animation.frames=1", "image.width=33", "integration.early_termination=
 def test_bricks_of_workers_are_those_of_one_process_and_nearly_the_whole(local):
     bricks = bricks_of(load_scene("film.toml", STILL).resolve(), 5)
     scene = {"path": "film.toml", "overrides": STILL, "count": 5, "devices": None, "memory_cap": None}
-    rgba, told = bricks_on_workers(local, bricks, scene, ["film.toml", "waves.npy"])
+    rgba, depth, told = bricks_on_workers(local, bricks, scene, ["film.toml", "waves.npy"], depth=True)
     assert told["bricks"] == 5 and told["samples"] > 0 and told["largest_brick_bytes"] < 24**3
+    again, nothing, of_pixels = bricks_on_workers(local, bricks, scene, ["film.toml", "waves.npy"])
+    assert nothing is None and of_pixels["client_bytes"] == rgba.nbytes  # not those of five pictures
+    np.testing.assert_array_equal(again, rgba)
     words = ["--quiet", *(word for each in STILL for word in ("--set", each))]
-    assert main(["render", "film.toml", "-o", "b.npy", "--bricks", "5", "--stats", "b.json", *words]) == 0
+    places = ["-o", "b.npy", "-o", "b.exr", "--stats", "b.json"]
+    assert main(["render", "film.toml", *places, "--bricks", "5", *words]) == 0
     np.testing.assert_array_equal(np.load("b.npy"), rgba)
+    np.testing.assert_array_equal(load_image("b.exr")["depth"], depth)
     assert json.loads(Path("b.json").read_text())["bricks"] == 5
-    assert main(["render", "film.toml", "-o", "w.npy", *words]) == 0
-    assert np.abs(np.load("w.npy") - rgba).max() < 1e-6
+    assert main(["render", "film.toml", "-o", "w.exr", *words]) == 0
+    whole = load_image("w.exr")
+    assert np.abs(whole["rgba"] - rgba).max() < 1e-6
+    np.testing.assert_allclose(whole["depth"], depth, rtol=1e-6)
+    assert np.isfinite(depth).any()
+
+
+@pytest.mark.slow  # a worker that starts again, some seconds
+def test_a_worker_that_dies_with_its_bricks_costs_no_picture(local):
+    bricks = bricks_of(load_scene("film.toml", STILL).resolve(), 4)
+    scene = {"path": "film.toml", "overrides": STILL, "count": 4, "devices": None, "memory_cap": None}
+
+    def kill_one(done: int, count: int) -> None:
+        if done == count:  # all are rendered, and none is put together
+            os.kill(workers()[0], signal.SIGKILL)
+
+    rgba, _, _ = bricks_on_workers(local, bricks, scene, ["film.toml", "waves.npy"], kill_one)
+    np.testing.assert_array_equal(rgba, bricks_on_workers(local, bricks, scene, ["film.toml", "waves.npy"])[0])
 
 
 def test_a_brick_that_fails_ends_the_picture(local):
@@ -204,6 +241,29 @@ def test_a_worker_that_is_killed_costs_no_frame(local, alone):
             os.kill(workers()[0], signal.SIGKILL)
     assert sorted(made) == list(range(FRAMES))
     check_frames(alone)
+
+
+def test_a_worker_that_dies_before_it_has_started_is_replaced(tmp_path, monkeypatch):
+    first = tmp_path / "first"
+    first.touch()
+    script = tmp_path / "process.py"
+    script.write_text(
+        "import os, runpy\n"
+        f"if os.path.exists({str(first)!r}):\n    os.remove({str(first)!r})\n    os.kill(os.getpid(), 9)\n"
+        f"runpy.run_path({str(local_module._PROCESS)!r}, run_name='__main__')\n"
+    )
+    monkeypatch.setattr(local_module, "_PROCESS", script)
+    before = set(workers())
+    with connected(1, None) as connection:
+        assert not first.exists() and connection.client.submit(os.getpid).result() in set(workers()) - before
+    assert set(workers()) == before
+
+
+def test_workers_that_all_die_before_they_have_started_are_an_error(tmp_path, monkeypatch):
+    (tmp_path / "process.py").write_text("raise SystemExit(3)")
+    monkeypatch.setattr(local_module, "_PROCESS", tmp_path / "process.py")
+    with pytest.raises(RenderError, match="--workers: processes end"), connected(2, None):
+        pass
 
 
 def test_shares_are_all_cores_and_none_twice():

@@ -43,26 +43,24 @@ def clvol(*words: str, folder: Path) -> subprocess.Popen:
 class Cluster:
     file: Path
     scheduler: subprocess.Popen
-    nannies: subprocess.Popen
+    nannies: list[subprocess.Popen]
 
     def workers(self) -> list[int]:
         """The processes that render."""
-        import psutil
-
-        with contextlib.suppress(psutil.NoSuchProcess):
-            return [
-                child.pid for child in psutil.Process(self.nannies.pid).children(recursive=True)
-                if "spawn_main" in " ".join(_words(child))
-            ]  # fmt: skip
-        return []
+        return [pid for nanny in self.nannies for pid in _children(nanny.pid, "spawn_main")]
 
 
 def workers_of(pid: int) -> list[int]:
     """The processes that local workers of the command ``pid`` run in."""
+    return _children(pid, "process.py")
+
+
+def _children(pid: int, word: str) -> list[int]:
+    """The processes that ``pid`` has started whose command has ``word``."""
     import psutil
 
     with contextlib.suppress(psutil.NoSuchProcess):
-        return [c.pid for c in psutil.Process(pid).children(recursive=True) if "spawn_main" in " ".join(_words(c))]
+        return [c.pid for c in psutil.Process(pid).children(recursive=True) if word in " ".join(_words(c))]
     return []
 
 
@@ -76,7 +74,8 @@ def _words(process) -> list[str]:
 
 @contextlib.contextmanager
 def cluster(folder: Path, workers: int, *more: str) -> Iterator[Cluster]:
-    """A scheduler and ``workers`` workers, which are replaced when they die."""
+    """A scheduler and ``workers`` workers, which are replaced when they die: each has a command of its own, since one
+    command gives up, with all its workers, when one of them dies before it has started."""
     folder.mkdir(exist_ok=True)
     file = folder / "scheduler.json"
     file.unlink(missing_ok=True)
@@ -85,17 +84,17 @@ def cluster(folder: Path, workers: int, *more: str) -> Iterator[Cluster]:
     scheduler = subprocess.Popen(
         [*dask, "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
          "--scheduler-file", str(file)], **quiet)  # fmt: skip
-    nannies = subprocess.Popen(
-        [*dask, "distributed.cli.dask_worker", "--scheduler-file", str(file), "--nworkers", str(workers), "--nthreads",
-         "1", "--resources", "opencl=1", "--no-dashboard", "--host", "127.0.0.1", "--memory-limit", "0",
-         "--local-directory", str(folder), *more], **quiet)  # fmt: skip
+    worker = [*dask, "distributed.cli.dask_worker", "--scheduler-file", str(file), "--nthreads", "1", "--resources",
+              "opencl=1", "--no-dashboard", "--host", "127.0.0.1", "--memory-limit", "0", "--local-directory",
+              str(folder), *more]  # fmt: skip
+    nannies = [subprocess.Popen(worker, **quiet) for _ in range(workers)]
     made = Cluster(file, scheduler, nannies)
     try:
         _wait(lambda: file.exists() and file.stat().st_size > 0)
         yield made
     finally:
         children = made.workers()
-        for process in (scheduler, nannies):
+        for process in (scheduler, *nannies):
             process.kill()
             process.wait()
         for pid in children:

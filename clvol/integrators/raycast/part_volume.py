@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 
+from clvol.device.effect_switches import effect_switches
 from clvol.device.memory import value_map
 from clvol.device.volume import DeviceVolume, ResidentVolume
-from clvol.features import FILTER_REACH
+from clvol.features import FILTER_REACH, reduced_for_frames
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Volume
@@ -16,13 +17,15 @@ from clvol.volume.lazy import LazyVolume
 from clvol.volume.voxel_layout import CELL_SHIFT, cell_count, padded_size
 
 Lattice = tuple[int, int, int]  # x, y, z
+_GRADIENT_REACH = 2  # voxels beyond those of a sample
 
 
 class PartVolume(ResidentVolume):
     """The voxels that segments need whose front lies in a box: from ``lower`` to before ``upper`` (x, y, z; lattice
     units), and beyond faces of the volume. Bounds of cells are known where such segments may be.
 
-    For even steps and values that kernels take as they are stored.
+    For even steps and values that kernels take as they are stored. ``in_front`` float32 [height, width]: the opacity
+    in front of the box, which depths depend on.
     """
 
     def __init__(self, context: DeviceContext, resolved: ResolvedScene, lower: Lattice, upper: Lattice) -> None:
@@ -34,9 +37,12 @@ class PartVolume(ResidentVolume):
         self.cells = cell_count(self.size[0]), cell_count(self.size[1]), cell_count(self.size[2])
         self.cell_shift = CELL_SHIFT
         grid = volume.grid
-        # Segments look back a step (curvature) and ahead one; the filter looks around both.
+        # Segments look back a step (curvature) and ahead one; the filter looks around both, gradients around that.
         steps = [integration.step * grid.smallest_edge / edge for edge in grid.spacing]
-        ghost = [math.ceil(step) + 1 + FILTER_REACH[integration.filter] for step in steps]
+        beyond = 1 + FILTER_REACH[integration.filter]
+        if effect_switches(reduced_for_frames(resolved)).get("GRADIENT"):
+            beyond += _GRADIENT_REACH
+        ghost = [math.ceil(step) + beyond for step in steps]
         # Cells of empty space begin at multiples of their edge.
         first = [max(a - g, 0) >> CELL_SHIFT << CELL_SHIFT for a, g in zip(lower, ghost)]
         last = [min(b + g + 1, n) for b, g, n in zip(upper, ghost, grid.size)]

@@ -78,6 +78,8 @@ class _Picture:
         stage.outputs["depths"] = self._caster.no_array
         if self._depth:
             stage.outputs["depths"] = context.output(np.float32, (height, width), depths)
+            if self._caster.volume.in_front is not None:
+                context.write(stage.outputs["depths"], self._caster.volume.in_front)
         stage.outputs["samples"] = context.output(np.uint32, (stage.tiles,))
         if self._listed is not None:
             stage.outputs["listed"] = context.upload(self._listed.places())
