@@ -11,7 +11,7 @@ from bench.options import Options
 NAMES = (
     "peers", "shaded", "isosurface", "effects", "sampling", "profile", "scaling", "startup", "convergence",
     "tradeoff", "targets", "multiresolution", "pyramid", "slicing", "compression", "devices", "workers",
-    "gallery", "first-pictures", "supersampling", "coherence",
+    "gallery", "first-pictures", "supersampling", "coherence", "random-peaks",
 )  # fmt: skip
 
 

@@ -29,6 +29,7 @@ from bench.scenes import CHEST, OPACITY_UNIT, SCENES, VOLUMES, camera
 from clvol.device.empty_space import distance_map
 from clvol.integrators.raycast.caster import Raycaster
 from clvol.integrators.raycast.history import History
+from clvol.integrators.raycast.measured_gain import MeasuredGain
 
 SUMMARY = "coherence from frame to frame, beside leaps over empty space (Klein et al. 2005, table 1)"
 SIZE, DEGREES, PLACES, RUN = 512, 0.5, 3, 4
@@ -86,6 +87,19 @@ class Counting(Raycaster):
         return super().launches(name, view, tiles, depth, progress, outputs, *more)
 
 
+class Always(MeasuredGain):
+    """Takes starts whether or not they gain anything."""
+
+    def turn(self) -> str | None:
+        return None
+
+
+def _history() -> History:
+    history = History()
+    history.gain = Always()
+    return history
+
+
 def run(options: Options) -> dict[str, Any] | None:
     from clvol.opencl.context import DeviceContext
     from clvol.opencl.devices import open_device
@@ -137,7 +151,7 @@ def measure(context: Any, row: Row, size: int, quick: bool) -> dict[str, Any]:
     resolved = scene_of(row, size)
     casters = {
         name: Counting(context, replace(resolved, coherence=Coherence(mode=mode, audit=NO_AUDIT)), skip=skip,
-                       history=History(), tile=(16, 16) if skip else (4, 4))
+                       history=_history(), tile=(16, 16) if skip else (4, 4))
         for name, (skip, mode) in COLUMNS.items()
     }  # fmt: skip
     for caster in casters.values():

@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clvol.device.memory import value_map
+from clvol.features.segments import has_integral_table
+from clvol.features.values import reachable
 from clvol.features.vocabulary import OPACITY_FACTORS, TRANSFER_LAYERS
 from clvol.scene.transfer_layer import axes_of_layers
 from clvol.transfer import TransferFunction
+from clvol.transfer.integral_table import tabulated_shape
 from clvol.transfer.opacity_envelope import opacity_envelope
 
 if TYPE_CHECKING:
@@ -42,8 +45,12 @@ def layer_functions(
 
 def shown_function(resolved: ResolvedScene, function: TransferFunction | None = None) -> TransferFunction:
     """A function that has opacity exactly where any of the scene's functions has some, or emits light."""
-    glow = [] if resolved.glow is None else [resolved.glow.shape]
-    return opacity_envelope([*layer_functions(resolved, function), *glow])
+    functions = layer_functions(resolved, function)
+    shapes = [] if resolved.glow is None else [resolved.glow.shape]
+    if has_integral_table(resolved.integration):
+        entries = resolved.integration.table_size
+        shapes += [tabulated_shape(each, *reachable(resolved), entries) for each in functions]
+    return opacity_envelope([*functions, *shapes])
 
 
 def factor_rows(factor: OpacityFactor | None, per_edge: float) -> np.ndarray:

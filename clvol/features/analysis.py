@@ -22,6 +22,7 @@ from clvol.features import (
     lighting,
     noise,
     opacity,
+    segments,
     shadows,
     surfaces,
 )
@@ -33,6 +34,7 @@ from clvol.scene.resolve import ResolvedScene
 NAMES = (
     "emission-absorption",
     "projection",
+    "integral tables",
     "channels",
     "nearest filter",
     "cubic filter",
@@ -66,8 +68,8 @@ NAMES = (
 )
 # Each pass analyses the scene as reduced by the passes before it.
 _PASSES = (
-    filters, glow, emission, fields, noise, clipping, surfaces, opacity, lighting, shadows, half_angle, depth_cue,
-    gradients,
+    filters, glow, emission, segments, fields, noise, clipping, surfaces, opacity, lighting, shadows, half_angle,
+    depth_cue, gradients,
 )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from clvol.errors import SceneError
 from clvol.features.compression import check_compression
 from clvol.features.glow import check_glow
 from clvol.features.refuse import check_effects
+from clvol.features.segments import check_segments
 from clvol.integrators.base import Integrator
 from clvol.integrators.channels import check_channels
 from clvol.integrators.decoding import check_decoding
@@ -57,6 +58,7 @@ def _check_scene(resolved: ResolvedScene) -> None:
     integrator = integrator_of(resolved)
     check_effects(resolved)
     check_glow(resolved)
+    check_segments(resolved)
     check_compression(resolved)
     check_decoding(resolved, integrator)
     integrator.check(resolved)

@@ -80,6 +80,7 @@ def chosen_for(resolved: ResolvedScene) -> ChosenClassification:
         (isinstance(volume, LazyVolume) and not volume.is_read, "voxels are read only when they are rendered"),
         (any(noise.amplitude for noise in resolved.noise), "noise changes values"),
         (resolved.glow is not None, "colours are associated"),
+        (integration.segments != "pieces", "segments are looked up in integral tables"),
         (bool(resolved.transfer_layers), "more than one transfer function applies"),
         (any(field.role == "density" for field in resolved.fields), "a density field has a function of its own"),
     )

@@ -32,8 +32,10 @@ class Integration(Table):
 
     ``quadrature``: even "steps" along a ray, or "cells": one piece per cell of the linear filter that the ray crosses,
     cut into 1 / ``step`` parts (one, or an even number). ``early_termination`` is the transmittance at which a ray may
-    stop; 0 means never. ``table_size`` has no effect: earlier versions looked segments up in a table of that many
-    entries per axis; they are now integrated in closed form. ``tolerance`` is the error that the reference method aims
+    stop; 0 means never. ``segments``: "pieces" integrates each segment in closed form; "integral-table" takes
+    differences of integral functions, tabulated at ``table_size`` values, and leaves attenuation inside a segment out
+    (Engel, Kraus and Ertl 2001, section 3.2): an approximation, for comparison. Otherwise ``table_size`` has no effect.
+    ``tolerance`` is the error that the reference method aims
     at, in linear premultiplied colour. ``voxel_precision``: voxels are held as "stored" while rendering, or quantised
     evenly over the volume's range.
     """
@@ -57,6 +59,11 @@ class Integration(Table):
         "auto",
         title="Classify voxels, midpoints of segments, or whole segments (pre-integration); 'auto' takes what suits.",
         description="'auto', 'pre', 'post' or 'preintegrated'",
+    )
+    segments: Literal["pieces", "integral-table"] = Field(
+        "pieces",
+        title="Pre-integrated segments in closed form, or by tables of integral functions without attenuation inside.",
+        description="'pieces' or 'integral-table'",
     )
     quadrature: Literal["steps", "cells"] = Field(
         "steps",
@@ -95,7 +102,7 @@ class Integration(Table):
     )
     table_size: Whole = Field(
         256, ge=16, le=1024,
-        title="Has no effect; accepted because earlier versions used lookup tables of this size.",
+        title="Entries of the tables of segments = 'integral-table'; without these it has no effect.",
         description="a whole number from 16 to 1024",
     )
     voxel_precision: Literal["stored", "uint16", "uint8"] = Field(

@@ -28,6 +28,7 @@ SUITES = {
     "slicing": ((), ("engine.nrrd",)),
     "coherence": ((), ("engine.nrrd",)),
     "supersampling": (("aneurism",), ("aneurism.nrrd",)),
+    "random-peaks": ((), ("engine.nrrd",)),
     "gallery": (("tooth-layers",), ("tooth.nrrd",)),
 }
 

@@ -10,6 +10,7 @@ from clvol.device.noise import noise_tile
 from clvol.device.voxel_colors import linear_light
 from reference import classify
 from reference.field import Field, GridSampler
+from reference.integral_table import IntegralTable
 from reference.noise import fractal_noise
 
 
@@ -59,6 +60,9 @@ class Medium:
         self.gradient_opacity = resolved.gradient_opacity
         self.directional_opacity = resolved.directional_opacity
         self.glow = resolved.glow
+        self.integrals = None
+        if integration.segments == "integral-table":
+            self.integrals = IntegralTable(resolved)
         self.fields = [(field, _sampler(field)) for field in resolved.fields]
 
     @staticmethod
@@ -210,6 +214,8 @@ class Medium:
             value = self.value(middle)
             return [classify.of_value(f, value, length) for f in self.functions]
         front, back = self._chord(start, end, before, curved, steps)
+        if self.integrals is not None:
+            return [self.integrals.of_chord(front, back, length)]
         return [classify.of_chord(f, front, back, length) for f in self.functions]
 
     def _chord(self, start, end, before, curved, steps) -> tuple[np.ndarray, np.ndarray]:

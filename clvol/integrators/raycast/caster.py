@@ -23,6 +23,8 @@ from clvol.device.view import EVERY_PIXEL, PixelLattice, PixelList, Pixels, RayF
 from clvol.device.volume import DeviceVolume, ResidentVolume
 from clvol.features import reduced_for_frames
 from clvol.features.gradient_storage import DeviceLimits
+from clvol.features.segments import has_integral_table
+from clvol.features.values import reachable
 from clvol.integrators.base import FrameData, Progress, Shared
 from clvol.integrators.raycast.cell_depths import cell_depths
 from clvol.integrators.raycast.constant_cells import changing_cells
@@ -41,6 +43,7 @@ from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE, bands
 from clvol.transfer import TransferFunction
+from clvol.transfer.integral_table import integral_table
 from clvol.transfer.lookup_nodes import LookupNodes, visible_cells
 from clvol.transfer.pieces import columns, piece_count, piece_table, shown_spans, value_gate
 
@@ -230,6 +233,13 @@ class Raycaster:
         width = max(columns(piece_count(function)) for function in self._functions)
         origin = float(np.float32(self.nodes.first))
         tables = [piece_table(each, self.length, width, origin) for each in self._functions]
+        integration = self.resolved.integration
+        if has_integral_table(integration):
+            ends = [float(x) for x in self.volume.values(np.array(reachable(self.resolved)))]
+            tables = [
+                np.concatenate([table.ravel(), integral_table(each, ends[0], ends[1], integration.table_size, origin)])
+                for table, each in zip(tables, self._functions)
+            ]
         self.pieces = (width, tables[0].size, max(map(piece_count, self._functions)))
         self.step_units = self.length / self._functions[0].opacity_unit
         self.table = self.context.upload(np.concatenate(tables, axis=None))

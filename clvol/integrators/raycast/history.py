@@ -110,6 +110,15 @@ def arrays_to_warm_up(caster: Raycaster, tiles: int) -> dict[str, DeviceArray]:
     return {"starts": caster.no_array, "kept": caster.no_array, "tallies": context.empty(np.uint32, (tiles, 4))}
 
 
+def warm_up_reprojection(context: DeviceContext) -> None:
+    """Launches the kernels of ``reproject``, for a picture of a tile of which nothing is known."""
+    history, size = History(), (TILE, TILE)
+    history.array("kept", size, lambda: context.upload(np.full(size, np.inf, np.float32), writable=True))
+    nowhere = Move(np.zeros(25, np.float32), (0, 0, 0, 0), np.zeros((1, 1), np.uint8))
+    reproject(context, history, nowhere, size, 1.0, 1)
+    context.finish()
+
+
 def visible_bounds(caster: Raycaster) -> tuple[np.ndarray, np.ndarray]:
     """Lattice points (x, y, z): corners of a box around all cells in which anything can be seen."""
     shift, last = caster.volume.cell_shift, np.asarray(caster.volume.size) - 1
@@ -200,6 +209,7 @@ def render_from_history(
         # What the audit found at some pixels may be at others, too.
         data = picture.render_again(data, hull)
         history.found_late()
+        history.gain.lost()
     elif measured and reused:
         history.gain.took(perf_counter() - begun, reused=True)
     history.frame, history.size, history.facts = picture.frame, size, facts

@@ -7,6 +7,7 @@ from clvol.device.memory import value_map, voxel_switches
 from clvol.device.opacity_factors import layer_functions
 from clvol.device.transfer_lookup import segment_classification, transfer_pieces
 from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES
+from clvol.features.segments import has_integral_table
 from clvol.integrators.raycast.constant_cells import uses_constant_cells
 from clvol.integrators.raycast.step_map import CELL_SHIFT, follows_data
 from clvol.scene.resolve import ResolvedScene
@@ -39,5 +40,6 @@ def raycast_switches(
         "WITH_DEPTH": int(depth),
         **effects,
         **({"CONSTANT_CELLS": 1} if varies and lanes > 1 and uses_constant_cells(resolved, effects, function) else {}),
+        **({"INTEGRAL_TABLE": integration.table_size} if has_integral_table(integration) else {}),
         **({"STEP_CELLS": CELL_SHIFT} if varies and follows_data(resolved, function) else {}),
     }

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clvol.integrators.raycast.history import arrays_to_warm_up
+from clvol.integrators.raycast.history import arrays_to_warm_up, warm_up_reprojection
 from clvol.integrators.raycast.measured_gain import LEAST_PIXELS
 from clvol.opencl.context import restore_interrupts
 from clvol.schedule.tiles import tiling
@@ -38,6 +38,8 @@ def warm_up(caster: Raycaster, width: int, height: int, depth: bool, chosen: np.
         else:
             for engine in (caster, caster.without_surfaces):
                 tallies.append(engine.launches("raycast", view, tiles, depth, None, outputs, np.zeros(1, np.int64)))
+    if starts:
+        warm_up_reprojection(caster.context)
     if fills:
         more = {"coarse": caster.no_array, "coarse_depths": caster.no_array, "rays": counts[1]}
         tallies.append(caster.launches("fill_between_rays", view, tiles, depth, None, none | more, chosen))
