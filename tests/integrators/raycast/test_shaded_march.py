@@ -88,7 +88,9 @@ def test_it_changes_no_bit(context, name):
     array, function, integration, tables = CASES[name]
     caster = caster_of(context, array, function, integration, **tables)
     assert caster.switches["SEGMENT_OPACITIES"] and caster.switches["LIGHTING"]
-    assert bool(caster.switches.get("CONSTANT_CELLS")) == ("one value" in name or "the same" in name)
+    constant = "one value" in name or "the same" in name
+    assert bool(caster.switches.get("CONSTANT_CELLS")) == constant
+    assert bool(caster.switches["SKIP_EMPTY"]) != constant  # all of it is visible: nothing to leap over
     same(*pictures(context, caster))
 
 
