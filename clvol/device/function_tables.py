@@ -20,8 +20,7 @@ def function_tables(
 ) -> tuple[np.ndarray, tuple[int, int, int]]:
     """float32 [n]: the tables of ``functions`` (over the values that kernels compute with) one behind the other, with
     those of their integrals where the scene requests them; and columns, floats and pieces of each. ``step``: world
-    length
-    of a step; ``origin``: what kernels count values from."""
+    length of a step; ``origin``: what kernels count values from."""
     width = max(columns(piece_count(function)) for function in functions)
     tables = [piece_table(each, step, width, origin).ravel() for each in functions]
     if has_integral_table(resolved.integration):
