@@ -14,6 +14,14 @@
 #include "sample_blocks.h"
 #endif
 
+#if BLOCKS
+/* By itself: inlined wherever single samples are taken it takes compilers minutes. Marches take theirs in runs. */
+RARE floatN single_block_value(const BlockVolume *v, floatN x, floatN y, floatN z, Tally *tally)
+{
+  return blocks_value(v, x, y, z, ~(intN)0, tally);
+}
+#endif
+
 /* The value at a lattice point. Both kinds of noise are taken there; a place that is moved out of the domain is taken
  * back to its face. */
 INLINE floatN scene_value(const Scene *scene, floatN x, floatN y, floatN z)
@@ -28,7 +36,7 @@ INLINE floatN scene_value(const Scene *scene, floatN x, floatN y, floatN z)
   displace(scene->noise, e->noise_terms + e->added_terms, e->moving_terms, &x, &y, &z);
 #endif
 #if BLOCKS
-  const floatN value = blocks_value(&scene->blocks, x, y, z, ~(intN)0, BLOCK_TALLIES(scene->tallies));
+  const floatN value = single_block_value(&scene->blocks, x, y, z, BLOCK_TALLIES(scene->tallies));
 #else
   const floatN value = sample_value(fetch_sample(scene->volume, scene->view, x, y, z), scene->view);
 #endif
