@@ -114,6 +114,8 @@ TILES = (
          "is screened.", "channels", "[[channel]], [integration] blend"),
     Tile("vismale-clipped", "Clipping", "By a box and a sphere; faces of the cut are lit.",
          "clipping", "[[clip]]"),
+    Tile("chest-blocks", "Lit, clipped blocks", "A ninth of the voxels' memory, spent on what the box leaves.",
+         "clipping", '[integration] method = "multiresolution"'),
     Tile("aneurism-depth", "Depth cueing", "Far vessels fade into the page.",
          "depth cueing", "[depth_cue]"),
     Tile("aneurism-maximum", "Maximum intensity", "The greatest value on each ray.",

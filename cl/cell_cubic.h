@@ -15,8 +15,14 @@
 
 #define ROOT_SHARE 1e-6f /* of a cell: to this roots are found */
 
+#if BLOCKS
+#include "cell_blocks.h"
+#define decode_cell(voxels, view) (voxels)
+#else
 typedef FetchedCorners CellVoxels;
 #define fetch_cell fetch_corners
+#define decode_cell decode_corners
+#endif
 
 /* Exact at both ends: what two cells make of the face between them is the same, bit for bit. */
 INLINE floatN mix_ends(floatN a, floatN b, floatN u) { return select(a + u * (b - a), b, MASK(u == 1.0f)); }
@@ -105,7 +111,7 @@ INLINE CellHit look_in_cell(const Scene *scene, CellVoxels voxels, Vectors low, 
                             intN open)
 {
   CellHit hit = no_hit();
-  Corners c = decode_corners(voxels, scene->view);
+  Corners c = decode_cell(voxels, scene->view);
 #if VOXEL_HOLES
   drop_unused(&c.v000, &c.v100, low.x, high.x), drop_unused(&c.v010, &c.v110, low.x, high.x);
   drop_unused(&c.v001, &c.v101, low.x, high.x), drop_unused(&c.v011, &c.v111, low.x, high.x);

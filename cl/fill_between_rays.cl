@@ -49,8 +49,8 @@ __kernel WIDE_VECTORS void fill_between_rays(SCENE_PARAMETERS, __global const fl
                                              __global float *restrict depths, __global uint *restrict samples,
                                              __global uint *restrict rays COUNTS_PARAMETER CHOSEN_PARAMETER)
 {
-  const Scene scene = SCENE;
   DECLARE_TALLIES
+  const Scene scene = SCENE;
   const int width = view->image.x, height = view->image.y;
   const int columns = max(1, (width + view->tile.x - 1) / view->tile.x);
   const int item = (int)get_global_id(0) + view->first_tile, tile = TILE_OF(item);

@@ -56,8 +56,8 @@ __kernel WIDE_VECTORS void listed_rays(SCENE_PARAMETERS, __global const int2 *re
                                        __global float4 *restrict image, __global float *restrict depths,
                                        __global uint *restrict samples COUNTS_PARAMETER CHOSEN_PARAMETER)
 {
-  const Scene scene = SCENE;
   DECLARE_TALLIES
+  const Scene scene = SCENE;
   const int item = (int)get_global_id(0) + view->first_tile, tile = TILE_OF(item);
   const int rays = view->tile.x * view->tile.y, first = tile * rays, end = view->image.x > 0 ? first + rays : first;
   uint total = 0;

@@ -106,6 +106,22 @@ INLINE void entry_gradients(const Scene *scene, const HeldSegments *held, int k,
 }
 #endif
 
+#if LIGHTING && BLOCKS && LANES > 1
+/* Of all entries at once: those of a kind are many (gradient_queue.h). */
+typedef struct {
+  float x[MOST_ENTRIES], y[MOST_ENTRIES], z[MOST_ENTRIES];
+} EntryGradients;
+
+INLINE void block_entry_gradients(const Scene *scene, const HeldSegments *held, const Rays *ray, EntryGradients *g)
+{
+  _Pragma("unroll 1") for (int k = 0; k < held->entries; k += LANES) {
+    const Vectors place = places_of(entries_at(held, k, ray), ray);
+    STORE_LANES(place.x, g->x + k), STORE_LANES(place.y, g->y + k), STORE_LANES(place.z, g->z + k);
+  }
+  blocks_gradients(&scene->blocks, held->entries, g->x, g->y, g->z, BLOCK_TALLIES(scene->tallies));
+}
+#endif
+
 #if STAGED_LIGHT
 
 /* What light finds of a vector of entries: as illuminate() of shade.h. */
@@ -205,10 +221,20 @@ INLINE void light_entries(const Scene *scene, const HeldSegments *held, int k, i
 INLINE void color_entries(const Scene *scene, HeldSegments *held, const Rays *ray, InnerSpan inner, Vectors forward,
                           Vectors cut_normal, Tally *counted)
 {
+#if LIGHTING && BLOCKS && LANES > 1
+  EntryGradients all;
+  block_entry_gradients(scene, held, ray, &all);
+#endif
   _Pragma("unroll 1") for (int k = 0; k < held->entries; k += LANES * TOGETHER) {
     const int count = min((held->entries - k + LANES - 1) / LANES, TOGETHER);
 #if LIGHTING
     Vectors gradients[TOGETHER];
+#endif
+#if LIGHTING && BLOCKS && LANES > 1
+    _Pragma("unroll 1") for (int j = 0; j < count; ++j)
+      gradients[j] = gradient_to_local(scene->effects, LOAD_LANES(all.x + k + LANES * j),
+                                       LOAD_LANES(all.y + k + LANES * j), LOAD_LANES(all.z + k + LANES * j));
+#elif LIGHTING
     entry_gradients(scene, held, k, count, ray, inner, gradients);
 #endif
 #if STAGED_LIGHT

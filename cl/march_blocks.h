@@ -7,7 +7,7 @@
 #ifndef MARCH_BLOCKS_H
 #define MARCH_BLOCKS_H
 
-#include "blend_blocks.h"
+#include "block_runs.h"
 #include "classify.h"
 #include "features.h"
 #include "half_opacity.h"
@@ -30,18 +30,12 @@ INLINE void place_on_ray(const Rays *ray, const BlockVolume *v, floatN t, floatN
 }
 
 /* Several steps of a packet: where samples are taken does not depend on what they are. So places come first, then all
- * values, in as few passes as they fill, then classification in order. A ray that turns out to be opaque on the way
- * has taken a few samples in vain. */
-
+ * values (block_runs.h), then classification in order. A ray that turns out to be opaque on the way has taken a few
+ * samples in vain. */
 typedef struct {
   float t[QUEUED_STEPS][LANES];    /* of the sample (preintegrated), or of the end of its segment (post) */
   int active[QUEUED_STEPS][LANES];
-#if LANES > 1
-  float value[FETCHES * LANES]; /* of samples, then of pairs that are blended in */
-  Fetch fetches[FETCHES];
-#else
-  float value[QUEUED_STEPS];
-#endif
+  BlockRun run;
 } March;
 
 PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
@@ -60,18 +54,19 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
   Gathered acc;
   gathered_clear(&acc);
   HalfOpacity half_ = no_half(); /* in steps */
+  /* One step before what may be visible: leaps begin where they would without a span. */
+  floatN span_from, span_to;
+  span_along(view, span, &ray, TO_FLOAT(px), TO_FLOAT(py), view->step, &span_from, &span_to);
+  const floatN start = floor(lane_clamp(span_from - 1.0f, zero, lane_max(ray.length - 1.0f, zero)));
 #if MIDPOINTS
-  floatN t = 0.0f, t1 = 0.0f; /* where the next segment begins, to be sampled and to be composited */
+  floatN t = start, t1 = start; /* where the next segment begins, to be sampled and to be composited */
 #else
   floatN value1 = 0.0f, value2 = 0.0f; /* the last sample and the one before it, and where they are */
   floatN t1 = 0.0f, t2 = 0.0f;
   intN first = ~(intN)0, second = 0;   /* the run of samples begins: no sample before, or only one */
-  floatN t = 0.0f;                     /* the next sample */
+  floatN t = start;                    /* the next sample */
 #endif
 
-#if INTERBLOCK && LANES > 1
-  PlaceQueue queue;
-#endif
   while (any_lane(active)) {
 #if SKIP_EMPTY
     /* A segment that is open depends on its front and the sample before that one. A leap opens a new one. */
@@ -80,7 +75,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
 #else
     const floatN from = select(select(t2, t1, second), t, first);
 #endif
-    const floatN visible_at = next_visible(distances, view, from, ray.length, active, &ray, counted);
+    const floatN visible_at = next_visible(distances, view, from, lane_min(span_to, ray.length), active, &ray, counted);
     active &= MASK(visible_at < end);
     const floatN next = floor(select(t, visible_at, active)) - (MIDPOINTS ? 0.0f : 1.0f);
     const intN leaps = active & MASK(next > t);
@@ -93,9 +88,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
     if (!any_lane(active)) break;
 #endif
     March m;
-#if INTERBLOCK && LANES > 1
-    queue.count = 0;
-#endif
+    run_begin(&m.run);
     Record here = record_at(v, (floatN)0.5f, (floatN)0.5f, (floatN)0.5f);
     int kind = alike(v, &here);
     intN walks = active;
@@ -119,21 +112,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
       STORE_LANES(next_t, m.t[step]);
 #endif
       STORE_LANES(walks, m.active[step]);
-#if LANES == 1
-      const BlockPlace place = place_in_block(v, &here, x, y, z);
-      const floatN value = value_in_block(v, &place);
-#if INTERBLOCK
-      m.value[step] = walks && place.outside ? blend_blocks(v, &here, x, y, z, value, counted) : value;
-#else
-      m.value[step] = value;
-#endif
-#else
-      const intN outside = place_fetch(v, &m.fetches[step], &here, kind, x, y, z);
-#if INTERBLOCK
-      queue_places(&queue, x, y, z, step, outside & walks);
-#endif
-#endif
-      count_lanes(&counted[COUNT_BLOCK_READS], walks);
+      run_place(v, &m.run, step, &here, kind, x, y, z, walks, counted);
       taken -= AS_UINT(walks);
       walks &= MASK(next_t < end);
       next_t = select(next_t, far, walks);
@@ -141,27 +120,12 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
       walks &= MASK(far < end);
 #endif
     }
-#if LANES > 1
-    int vectors = QUEUED_STEPS;
-#if INTERBLOCK
-    PairQueue pairs;
-    if (queue.count) vectors += queue_pairs(v, &queue, &pairs, m.fetches + QUEUED_STEPS, counted);
-#endif
-    _Pragma("unroll 1") for (int k = 0; k < vectors; ++k)
-      STORE_LANES(fetched_value(v, &m.fetches[k]), m.value + k * LANES);
-#if INTERBLOCK
-    if (queue.count) blend_pairs(&queue, &pairs, m.value + QUEUED_STEPS * LANES);
-#endif
-#endif
+    run_end(v, &m.run, QUEUED_STEPS, counted);
     t = select(t, next_t, active);
     _Pragma("unroll 1") for (int step = 0; step < QUEUED_STEPS; ++step) {
       active &= LOAD_LANES(m.active[step]);
       if (!any_lane(active)) break;
-      floatN value = LOAD_LANES(m.value + step * LANES);
-      const floatN at_t = LOAD_LANES(m.t[step]);
-#if INTERBLOCK && LANES > 1
-      value = blended_value(&queue, step, value);
-#endif
+      const floatN value = run_value(&m.run, step), at_t = LOAD_LANES(m.t[step]);
 #if MIDPOINTS
       if (may_be_visible(value, value, active, view)) {
         const floatN before = acc.a;

@@ -224,7 +224,9 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
 #endif
     floatN values[MARCH_STEPS];
     const intN start = i;
-#if FILTER == FILTER_LINEAR && VOXEL_BITS == 8 && !SAMPLE_REPEATS
+#if BLOCKS
+    values_of_segments(scene, &ray, start, last, NEEDS_ENDS, alive, values);
+#elif FILTER == FILTER_LINEAR && VOXEL_BITS == 8 && !SAMPLE_REPEATS
     /* Three short loops: the one that fetches has all its fetches under way at once. Wider voxels gain nothing. */
     SamplePlace places[MARCH_STEPS];
     FetchedCorners corners[MARCH_STEPS];

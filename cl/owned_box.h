@@ -3,7 +3,8 @@
  * Boxes fill the volume without gaps and overlaps. Rays are those of the whole volume, and so are their steps; a segment
  * is composited by the one device whose box holds its front: at or beyond `owned_from`, before `owned_to`. Every
  * device computes the place of a front by the same operations on the same numbers, so that of two boxes beside each other
- * exactly one has it, whatever rounding does. What a segment looks at beyond the box is stored, too (ghost voxels).
+ * exactly one has it, whatever rounding does. What a segment looks at beyond the box is stored, too (ghost voxels). Of a
+ * projection the samples count whose segments the box owns.
  */
 #ifndef OWNED_BOX_H
 #define OWNED_BOX_H

@@ -22,7 +22,7 @@
 
 /* Whether the march keeps to spans. Rays that see nothing may still see the environment, or be what is projected. */
 #define SPANS                                                                              \
-  (SKIP_EMPTY && LANES > 1 && !BLOCKS && !SLICES && QUADRATURE != QUADRATURE_CELLS &&      \
+  (SKIP_EMPTY && LANES > 1 && !SLICES && QUADRATURE != QUADRATURE_CELLS &&      \
    (!EFFECTS || (!COMPOSITING && !ENVIRONMENT_VISIBLE)))
 
 /* Depths of rays in edges behind the reference plane. from > to: the packet sees nothing. */
@@ -41,6 +41,13 @@ INLINE Span whole_span(void) { return span_between(-(floatN)INFINITY, (floatN)IN
 
 /* Frusta whose next leap is shorter than this many edges stay where they are. */
 #define LEAST_LEAP 1.0f
+
+/* A lattice coordinate among the cells; see AMONG_CELLS in skip_empty.h. */
+#if BLOCKS
+#define SIDE_AMONG_CELLS(x) ((x) + 0.5f)
+#else
+#define SIDE_AMONG_CELLS(x) (x)
+#endif
 
 /* One pair of sides of the lanes' frusta: at depth s they lie at low + s low_slope and high + s high_slope, and with
  * the middle at place + s slope. */
@@ -155,13 +162,14 @@ RARE void frustum_spans(__global const uchar *distances, __constant const View *
     return;
   }
 #define SIDES_ALONG(k, c)                                                                                          \
-  sides[k] = sides_along(u, v, half_u, half_v, view->plane_origin.c, view->plane_du.c, view->plane_dv.c,           \
-                         view->ray_forward.c, view->ray_du.c, view->ray_dv.c, view->upper.c)
+  sides[k] = sides_along(u, v, half_u, half_v, SIDE_AMONG_CELLS(view->plane_origin.c), view->plane_du.c,           \
+                         view->plane_dv.c, view->ray_forward.c, view->ray_du.c, view->ray_dv.c, view->upper.c)
   SIDES_ALONG(0, x);
   SIDES_ALONG(1, y);
   SIDES_ALONG(2, z);
   floatN enter = -fmin(view->plane_distance, 1.0f), leave = view->deepest;
-  const float upper[3] = {view->upper.x, view->upper.y, view->upper.z};
+  const float upper[3] = {SIDE_AMONG_CELLS(view->upper.x), SIDE_AMONG_CELLS(view->upper.y),
+                          SIDE_AMONG_CELLS(view->upper.z)};
   for (int k = 0; k < 3; ++k) {
     cut_span(sides[k].high, sides[k].high_slope, sides[k].high_inverse, &enter, &leave);
     cut_span(upper[k] - sides[k].low, -sides[k].low_slope, -sides[k].low_inverse, &enter, &leave);

@@ -27,6 +27,7 @@
 #include "emission.h"
 #include "features.h"
 #include "march.h"
+#include "owned_box.h"
 #include "packet_spans.h"
 #include "rays.h"
 #include "scene.h"
@@ -187,7 +188,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
       intN counts = active;
       const floatN v = lane_clamp(value, (floatN)lowest, (floatN)highest);
 #endif
-      counts &= MASK(kept > 0.0f);
+      counts &= MASK(kept > 0.0f) & owns_front(view, &ray, TO_FLOAT(i));
 #if COMPOSITING == COMPOSITING_AVERAGE
       const floatN length = kept * select((floatN)0.0f, lane_min(ray.length - TO_FLOAT(i), (floatN)1.0f), counts);
       sum += length * (v - lowest), length_sum += length;
@@ -236,7 +237,13 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
   show_environment(scene, forward, on_picture, &acc);
 #endif
   gathered_store(&acc, rgba);
-  STORE_LANES(picked_at * view->edge_length, depth);
+  floatN told = picked_at * view->edge_length;
+#if OWNED_BOX && WITH_DEPTH
+  /* Of several boxes the one with the best score shows: scores are requested (0), and then depths (1). */
+  const floatN asked = LOAD_LANES(depth);
+  told = select(select(told, best, MASK(asked == 0.0f)), (floatN)INFINITY, MASK(asked < 0.0f));
+#endif
+  STORE_LANES(told, depth);
   STORE_LANES(taken, samples);
 }
 

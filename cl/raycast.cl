@@ -19,8 +19,8 @@ __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict i
                                    __global uint *restrict samples COHERENT_PARAMETERS COUNTS_PARAMETER
                                    CHOSEN_PARAMETER)
 {
-  const Scene scene = SCENE;
   DECLARE_TALLIES
+  const Scene scene = SCENE;
   const int width = view->image.x, height = view->image.y;
   const int columns = max(1, (width + view->tile.x - 1) / view->tile.x);
   const int item = (int)get_global_id(0) + view->first_tile, tile = TILE_OF(item);
@@ -123,6 +123,8 @@ __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict i
 
 #if EFFECTS && SLICES
 #define REPORTED_FIELDS VIEW_FIELDS, EFFECTS_FIELDS, HALF_ANGLE_FIELDS
+#elif EFFECTS && BLOCKS
+#define REPORTED_FIELDS VIEW_FIELDS, EFFECTS_FIELDS, BLOCKS_FIELDS
 #elif EFFECTS
 #define REPORTED_FIELDS VIEW_FIELDS, EFFECTS_FIELDS
 #elif SLICES

@@ -1,10 +1,10 @@
 /* All that a kernel may read of its scene, as one struct: the volume, its transfer function and what the variant adds,
- * EFFECTS (effects.h; with SLICES half_angle.h, too), BLOCKS (block_parameters.h) or SLICES (slices.h). Functions about
- * the scene take `const Scene *`.
+ * EFFECTS (effects.h; with SLICES half_angle.h, with BLOCKS block_parameters.h, too), BLOCKS or SLICES (slices.h).
+ * Functions about the scene take `const Scene *`.
  *
  *   SCENE_PARAMETERS   the parameters of a kernel that the struct is made of; clvol/device/arguments.py declares the
  *                      same
- *   SCENE              their names as an initialiser: const Scene scene = SCENE;
+ *   SCENE              their names as an initialiser: const Scene scene = SCENE; after DECLARE_TALLIES
  *   COUNTS_PARAMETER   the last parameter of a kernel that counts what the variant does, or nothing
  *
  * volume     voxels in their own type, laid out as fetch_voxel.h says; of a volume of blocks, the first buffer of
@@ -23,10 +23,11 @@
 #if SLICES
 #include "half_angle.h"
 #endif
-#elif BLOCKS
-#include "block_parameters.h"
 #elif SLICES
 #include "slices.h"
+#endif
+#if BLOCKS
+#include "block_parameters.h"
 #endif
 
 typedef struct {
@@ -48,6 +49,10 @@ typedef struct {
 #if SLICES
   __constant const HalfAngle *half_angle;
 #endif
+#if BLOCKS
+  BlockVolume blocks;
+  Tally *tallies; /* of the work-item: values of blocks are counted where they are taken */
+#endif
 #elif BLOCKS
   BlockVolume blocks;
 #elif SLICES
@@ -65,6 +70,17 @@ typedef struct {
 #define HALF_ANGLE_ARGUMENT
 #endif
 
+#if EFFECTS && BLOCKS
+#define BLOCK_VARIANT_PARAMETERS , BLOCK_PARAMETERS
+#define BLOCK_VARIANT , BLOCK_VOLUME, counted
+#define BLOCK_TALLIES(counted) ((counted) + EFFECT_COUNTERS)
+#define SCENE_COUNTERS (EFFECT_COUNTERS + BLOCK_COUNTERS)
+#elif EFFECTS
+#define BLOCK_VARIANT_PARAMETERS
+#define BLOCK_VARIANT
+#define SCENE_COUNTERS EFFECT_COUNTERS
+#endif
+
 #if EFFECTS
 #define VARIANT_PARAMETERS                                                                               \
   , __constant const Effects *restrict effects, __global const float4 *restrict items,                   \
@@ -72,11 +88,10 @@ typedef struct {
     __global const uchar *restrict constant_distances,                                                   \
     __global const float4 *restrict environment, __global const float4 *restrict light_volume,           \
     __global const uint *restrict noise, __global const float *restrict factors, __global const float *restrict fields \
-    HALF_ANGLE_PARAMETER
+    HALF_ANGLE_PARAMETER BLOCK_VARIANT_PARAMETERS
 #define VARIANT \
   , effects, items, gradients, surface_distances, constant_distances, environment, light_volume, noise, factors, fields \
-    HALF_ANGLE_ARGUMENT
-#define SCENE_COUNTERS EFFECT_COUNTERS
+    HALF_ANGLE_ARGUMENT BLOCK_VARIANT
 #elif BLOCKS
 #define VARIANT_PARAMETERS , BLOCK_PARAMETERS
 #define VARIANT , BLOCK_VOLUME

@@ -7,6 +7,12 @@
 #include "noise.h"
 #include "sample_volume.h"
 #include "scene.h"
+#if BLOCKS
+#include "block_runs.h"
+#include "march.h"
+#include "rays.h"
+#include "sample_blocks.h"
+#endif
 
 /* The value at a lattice point. Both kinds of noise are taken there; a place that is moved out of the domain is taken
  * back to its face. */
@@ -21,7 +27,11 @@ INLINE floatN scene_value(const Scene *scene, floatN x, floatN y, floatN z)
 #if NOISE & NOISE_MOVES
   displace(scene->noise, e->noise_terms + e->added_terms, e->moving_terms, &x, &y, &z);
 #endif
+#if BLOCKS
+  const floatN value = blocks_value(&scene->blocks, x, y, z, ~(intN)0, BLOCK_TALLIES(scene->tallies));
+#else
   const floatN value = sample_value(fetch_sample(scene->volume, scene->view, x, y, z), scene->view);
+#endif
 #if NOISE & NOISE_ADDS
   return value + added;
 #else
@@ -29,8 +39,38 @@ INLINE floatN scene_value(const Scene *scene, floatN x, floatN y, floatN z)
 #endif
 }
 
+#if BLOCKS && !NOISE
+/* The values at MARCH_STEPS places of the rays from segment `start` on: at the ends of segments (`ends`) or in their
+ * middles. Lanes of `active` need those of segments up to `last`. */
+INLINE void values_of_segments(const Scene *scene, const Rays *ray, intN start, intN last, int ends, intN active,
+                               floatN *values)
+{
+  const BlockVolume *v = &scene->blocks;
+  const float4 upper = v->view->upper;
+  const floatN half_ = 0.5f, zero = 0.0f;
+  BlockRun run;
+  run_begin(&run);
+  Record here = record_at(v, half_, half_, half_);
+  int kind = alike(v, &here);
+  _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
+    const floatN t0 = TO_FLOAT(start + step), far = lane_min(t0 + 1.0f, ray->length);
+    const floatN t = ends ? far : t0 + 0.5f * (far - t0);
+    const floatN x = half_ + lane_clamp(ray->x0 + t * ray->dx, zero, (floatN)upper.x);
+    const floatN y = half_ + lane_clamp(ray->y0 + t * ray->dy, zero, (floatN)upper.y);
+    const floatN z = half_ + lane_clamp(ray->z0 + t * ray->dz, zero, (floatN)upper.z);
+    move_record(v, &here, &kind, x, y, z);
+    run_place(v, &run, step, &here, kind, x, y, z, active & MASK(start + step <= last), BLOCK_TALLIES(scene->tallies));
+  }
+  run_end(v, &run, MARCH_STEPS, BLOCK_TALLIES(scene->tallies));
+  _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) values[step] = run_value(&run, step);
+}
+#endif
+
 #if GRADIENT
 #include "gradient.h"
+#if BLOCKS
+#include "gradient_queue.h"
+#endif
 
 /* Its gradient, per edge along the local axes. With noise: differences of values over a smallest edge along the
  * lattice axes, one-sided at the volume's faces. */
@@ -59,6 +99,8 @@ INLINE Vectors scene_gradient(const Scene *scene, floatN x, floatN y, floatN z)
   }
   Gradient g = {slope[0], slope[1], slope[2]};
   g = finite_gradient(g);
+#elif BLOCKS
+  const Gradient g = blocks_gradient(&scene->blocks, x, y, z, ~(intN)0, BLOCK_TALLIES(scene->tallies));
 #else
   const Gradient g = gradient_at(scene->volume, scene->gradients, scene->view, scene->effects->gradient_scale, x, y, z);
 #endif

@@ -29,6 +29,14 @@
 #define FACE_MARGIN(view) (1e-3f + 2e-7f * max(max(view->upper.x, view->upper.y), view->upper.z))
 #define SHARE_OF_T 5e-7f
 
+/* A lattice coordinate among the cells: those of blocks lie in their places (blocks.h), half a unit further on. Rays of
+ * march_blocks.h are in these places themselves. */
+#if BLOCKS && EFFECTS
+#define AMONG_CELLS(x) ((x) + 0.5f)
+#else
+#define AMONG_CELLS(x) (x)
+#endif
+
 INLINE intN cell_of(floatN place, int shift, intN last) { return min(max(TO_INT(place) >> shift, (intN)0), last); }
 
 /* For each ray at parameter t (in steps): t itself where its cell is visible, else where it first enters a visible
@@ -38,6 +46,7 @@ INLINE floatN next_visible(__global const uchar *distances, __constant const Vie
 {
   const int shift = view->cell_shift, slice = view->cells.x * view->cells.y;
   const intN zero = 0, last_x = view->cells.x - 1, last_y = view->cells.y - 1, last_z = view->cells.z - 1;
+  const floatN x0 = AMONG_CELLS(ray->x0), y0 = AMONG_CELLS(ray->y0), z0 = AMONG_CELLS(ray->z0);
   const intN right = MASK(ray->dx > 0.0f), down = MASK(ray->dy > 0.0f), away = MASK(ray->dz > 0.0f);
   /* In either map the cube ends at the same faces ahead. */
   __global const uchar *maps = distances + view->octant_cells;
@@ -49,17 +58,17 @@ INLINE floatN next_visible(__global const uchar *distances, __constant const Vie
   while (any_lane(active)) {
     COUNT_LEAP(counted, active)
     /* Clamped as whole numbers, which takes a quarter of the time: each leap waits for the one before. */
-    const intN cx = cell_of(ray->x0 + t * ray->dx, shift, last_x), cy = cell_of(ray->y0 + t * ray->dy, shift, last_y);
-    const intN cz = cell_of(ray->z0 + t * ray->dz, shift, last_z);
+    const intN cx = cell_of(x0 + t * ray->dx, shift, last_x), cy = cell_of(y0 + t * ray->dy, shift, last_y);
+    const intN cz = cell_of(z0 + t * ray->dz, shift, last_z);
     const intN D = AS_INT(gather1(maps, own + (cz * slice + (cy * view->cells.x + cx))) & 255u);
     active &= MASK(D > zero);
     if (!any_lane(active)) break;
     const intN fx = select(cx - D + 1, cx + D, right) << shift;
     const intN fy = select(cy - D + 1, cy + D, down) << shift;
     const intN fz = select(cz - D + 1, cz + D, away) << shift;
-    const floatN leave = lane_min(lane_min((TO_FLOAT(fx) - ray->x0) * ray->rx + ray->px,
-                                           (TO_FLOAT(fy) - ray->y0) * ray->ry + ray->py),
-                                  (TO_FLOAT(fz) - ray->z0) * ray->rz + ray->pz);
+    const floatN leave = lane_min(lane_min((TO_FLOAT(fx) - x0) * ray->rx + ray->px,
+                                           (TO_FLOAT(fy) - y0) * ray->ry + ray->py),
+                                  (TO_FLOAT(fz) - z0) * ray->rz + ray->pz);
     const floatN face = lane_max(leave, t), margin = least_margin + SHARE_OF_T * face;
     entered = select(entered, face - margin, active);
     t = select(t, face + margin, active);

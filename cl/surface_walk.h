@@ -31,7 +31,7 @@
 #endif
 
 /* Cells that are fetched whole, and a step ahead. */
-#define CELLS_AHEAD (!NOISE && !WIDE_FILTER)
+#define CELLS_AHEAD (!NOISE && !WIDE_FILTER && !BLOCKS)
 /* Cells around voxels, not between them. */
 #define CENTRED_CELLS (!NOISE && FILTER == FILTER_NEAREST)
 /* What a cell needs to know of the one before. */
@@ -201,6 +201,10 @@ INLINE void find_surfaces(const Scene *scene, SurfaceWalk *w, intN wanted, float
 #elif CENTRED_CELLS
       const floatN value = sample_value(voxels, view);
       const CellHit hit = look_in_cell(scene, w->before, value, w->rank, open & w->known);
+#elif BLOCKS
+      const CellVoxels voxels = fetch_block_cell(&scene->blocks, w->ix, w->iy, w->iz, open,
+                                                 BLOCK_TALLIES(scene->tallies));
+      const CellHit hit = look_in_cell(scene, voxels, w->low, high, w->piece, w->rank, open);
 #elif WIDE_FILTER
       const CellHit hit = look_in_cell(scene, w->ix, w->iy, w->iz, w->low, high, w->piece, w->rank, open);
 #else

@@ -19,8 +19,8 @@ __kernel WIDE_VECTORS void tile_rays(SCENE_PARAMETERS, __global const int *restr
                                          __global float *restrict depths,
                                      __global float *restrict changes, __global uint *restrict samples COUNTS_PARAMETER)
 {
-  const Scene scene = SCENE;
   DECLARE_TALLIES
+  const Scene scene = SCENE;
   const int item = (int)get_global_id(0) + view->first_tile;
   const int first = item * rays_an_item, end = min(first + rays_an_item, count);
   const int width = view->image.x, height = view->image.y;

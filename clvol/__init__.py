@@ -39,11 +39,11 @@ _LAZY = {
 }
 # The models of a scene's tables, and of the entries of their lists.
 _TABLES = (
-    "Animation", "Clip", "Coherence", "Compression", "ControlPoint", "DepthCue", "DirectionalOpacity",
-    "DirectionalOpacityPoint", "Display", "Environment", "FieldLabel", "FieldSettings", "GradientOpacity",
-    "GradientOpacityPoint", "GradientSettings", "ImageSettings", "Integration", "Isosurface", "Light", "Material",
-    "Multiresolution", "Noise", "Overlay", "Pyramid", "Shadow", "Slicing", "TransferFunctionSettings",
-    "TransferLayerSettings", "VolumeSettings",
+    "Animation", "ChannelSettings", "Clip", "Coherence", "Compression", "ControlPoint", "DepthCue",
+    "DirectionalOpacity", "DirectionalOpacityPoint", "Display", "Environment", "FieldLabel", "FieldSettings",
+    "GradientOpacity", "GradientOpacityPoint", "GradientSettings", "ImageSettings", "Integration", "Isosurface",
+    "Light", "Material", "Multiresolution", "Noise", "Overlay", "Pyramid", "Shadow", "Slicing",
+    "TransferFunctionSettings", "TransferLayerSettings", "VolumeSettings",
 )  # fmt: skip
 _LAZY |= dict.fromkeys(_TABLES, "clvol.scene")
 __all__ = sorted(_LAZY)

@@ -29,6 +29,7 @@ SHOWS = {
     "compression": lambda scene: scene.compression.is_lossy and scene.compression.stated,
     "pyramid": lambda scene: scene.integration.method == "pyramid",
     "projection": lambda scene: scene.integration.compositing != "over",
+    "channels": lambda scene: len(scene.channel) > 1,
     "labels": lambda scene: scene.field[0].role == "label",
     "animation": lambda scene: scene.animation.frames > 1,
     "edges": lambda scene: scene.image.refines,
@@ -37,7 +38,7 @@ SHOWS = {
 }
 
 
-def test_there_are_fifteen_scenes_and_five_scripts():
+def test_there_are_sixteen_scenes_and_five_scripts():
     assert set(SCENES) == set(SHOWS)
     assert {path.stem for path in EXAMPLES.glob("*.py")} == {
         "render_array", "render_to_error", "compare_steps", "labels", "series"

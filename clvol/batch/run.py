@@ -17,7 +17,7 @@ from clvol.batch.made import is_made_from
 from clvol.batch.results import ResultsReader, append, digest_of
 from clvol.batch.shared import unmade
 from clvol.batch.write_behind import WriteBehind
-from clvol.errors import ClvolError, ClvolWarning, DeviceError, SceneError
+from clvol.errors import ClvolError, ClvolWarning, DeviceError, SceneError, UsageError, VolumeError
 from clvol.image import atomic_paths, check_output, save_picture
 from clvol.integrators.base import Progress
 from clvol.render import Renderer
@@ -154,7 +154,8 @@ class JobRun:
                 if self._raises_device_errors and isinstance(error, DeviceError):
                     raise
                 result |= _failure(picture, error)
-                self.close()  # a device that has failed stays out of a Renderer
+                if not isinstance(error, (SceneError, VolumeError, UsageError)):
+                    self.close()  # a device that has failed stays out of a Renderer
         told = [str(each.message) for each in caught if issubclass(each.category, ClvolWarning)]
         if told := list(dict.fromkeys(told)):
             result["warnings"] = told

@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from clvol.bricks.composite import composited
+from clvol.bricks.composite import put_together, winners
 from clvol.bricks.tree import Box, Tree, divided, most_boxes
 from clvol.device.effect_switches import effect_switches
 from clvol.errors import SceneError
 from clvol.features import reduced_for_frames
 from clvol.features.compression import is_compressed
+from clvol.integrators.base import FrameData
 from clvol.integrators.raycast.caster import Raycaster
 from clvol.integrators.raycast.integrator import INTEGRATOR
 from clvol.integrators.raycast.part_volume import PartVolume
@@ -23,6 +24,7 @@ from clvol.scene import load_scene
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume.voxel_layout import padded_size
 
+_COMPOSITINGS = ("over", "maximum", "minimum")
 _NEARLY = 1e-6  # opacity: in which of two bricks it reaches one half may depend on rounding
 # Switches of effects that are no sum over a ray's segments, each of which depends on voxels beside it alone.
 _NOT_IN_PARTS = {
@@ -35,10 +37,10 @@ _NOT_IN_PARTS = {
 
 @dataclass(frozen=True)
 class PartialPicture:
-    """What a brick adds: ``rgba`` float32 [height, width, 4], premultiplied; ``samples`` of the volume; ``bytes`` of
-    the voxels that were there."""
+    """What a brick adds: ``pixels`` float32 [height, width, 4], premultiplied, and the score of each as a fifth channel
+    where the brick with the highest one shows; ``samples`` of the volume; ``bytes`` of the voxels that were there."""
 
-    rgba: np.ndarray
+    pixels: np.ndarray
     samples: int
     bytes: int
 
@@ -65,29 +67,51 @@ class Bricks:
 
     def render(self, context: DeviceContext, number: int) -> PartialPicture:
         """The partial picture of a brick: its voxels are read, rendered and forgotten."""
-        resolved, box = self.resolved, self.boxes[number]
-        volume = PartVolume(context, resolved, box.lower, box.upper)
-        caster = Raycaster(context, resolved, volume=volume)
-        image = resolved.image
-        data = caster.render(resolved.camera, image.width, image.height, depth=False)
-        return PartialPicture(data.rgba, data.samples, volume.nbytes)
+        image = self.resolved.image
+        if not self.projects:
+            data, volume = self._rendered(context, number, None)
+            return PartialPicture(data.rgba, data.samples, volume.nbytes)
+        data, volume = self._rendered(context, number, np.zeros((image.height, image.width), np.float32))
+        assert data.depth is not None  # the scores
+        pixels = np.concatenate([data.rgba, data.depth[..., None]], axis=-1)
+        return PartialPicture(pixels, data.samples, volume.nbytes)
 
-    def depth(self, context: DeviceContext, number: int, in_front: np.ndarray) -> np.ndarray:
-        """float32 [height, width]: where opacity reaches one half within the brick ``number``, as ``Frame.depth``;
-        infinite elsewhere. ``in_front`` float32 [height, width]: the opacity of what is nearer."""
+    @property
+    def projects(self) -> bool:
+        """Whether one sample of each ray shows."""
+        return self.resolved.integration.compositing != "over"
+
+    def _rendered(
+        self, context: DeviceContext, number: int, in_front: np.ndarray | None
+    ) -> tuple[FrameData, PartVolume]:
+        """A brick from the scene's camera, with depth where something is ``in_front``."""
         resolved, box, image = self.resolved, self.boxes[number], self.resolved.image
         volume = PartVolume(context, resolved, box.lower, box.upper)
         volume.in_front = in_front
-        found = Raycaster(context, resolved, volume=volume).render(resolved.camera, image.width, image.height).depth
+        caster = Raycaster(context, resolved, volume=volume)
+        return caster.render(resolved.camera, image.width, image.height, depth=in_front is not None), volume
+
+    def depth(self, context: DeviceContext, number: int, in_front: np.ndarray) -> np.ndarray:
+        """float32 [height, width]: where opacity reaches one half within the brick ``number``, as ``Frame.depth``;
+        infinite elsewhere. ``in_front`` as ``in_front()`` gives it."""
+        found = self._rendered(context, number, in_front)[0].depth
         assert found is not None  # as requested
         return found
 
-    def in_front(self, opacities: Sequence[np.ndarray]) -> Iterator[tuple[int, np.ndarray]]:
+    def in_front(self, last: Sequence[np.ndarray]) -> Iterator[tuple[int, np.ndarray]]:
         """The bricks within which opacity may reach one half, nearer ones first, with the opacity in front of each:
-        float32 [height, width]. ``opacities`` float32 [height, width]: of the pictures of all bricks by number."""
-        left = np.ones(opacities[0].shape)
+        float32 [height, width]. Of a projection, those that show in some pixel: 1 there, and -1 elsewhere. ``last``
+        float32 [height, width]: the last channel of the pixels of all bricks by number."""
+        if self.projects:
+            order = self.order()
+            chosen = winners([last[number] for number in order])
+            for place, number in enumerate(order):
+                if (chosen == place).any():
+                    yield number, np.where(chosen == place, 1.0, -1.0).astype(np.float32)
+            return
+        left = np.ones(last[0].shape)
         for number in self.order():
-            behind = left * (1.0 - opacities[number].astype(np.float64))
+            behind = left * (1.0 - last[number].astype(np.float64))
             if ((left > 0.5 - _NEARLY) & (behind <= 0.5 + _NEARLY)).any():
                 yield number, (1.0 - left).astype(np.float32)
             left = behind
@@ -95,7 +119,7 @@ class Bricks:
     def composited(self, partial: Sequence[np.ndarray]) -> np.ndarray:
         """The whole picture, of those of all bricks by number."""
         image = self.resolved.image
-        return composited((partial[number] for number in self.order()), image.height, image.width)
+        return put_together((partial[number] for number in self.order()), image.height, image.width)
 
 
 def bricks_of(resolved: ResolvedScene, count: int) -> Bricks:
@@ -113,7 +137,8 @@ def check_bricks(resolved: ResolvedScene, count: int) -> None:
     asked: list[tuple[bool, str, str, str]] = [
         (integrator_of(resolved) is not INTEGRATOR, "integration.method", repr(integration.method), "'raycast'"),
         (integration.quadrature != "steps", "integration.quadrature", repr(integration.quadrature), "'steps'"),
-        (integration.compositing != "over", "integration.compositing", repr(integration.compositing), "'over'"),
+        (integration.compositing not in _COMPOSITINGS, "integration.compositing", repr(integration.compositing),
+         "'over', 'maximum' or 'minimum', which a brick's pixels tell all of"),
         (integration.prefilter, "integration.prefilter", "true, which depends on all voxels", "false"),
         (integration.voxel_precision != "stored", "integration.voxel_precision", repr(integration.voxel_precision),
          "'stored'"),
@@ -158,13 +183,13 @@ def render_in_bricks(
     partial, samples = [], 0
     for number in range(count):
         made = bricks.render(context, number)
-        partial.append(made.rgba)
+        partial.append(made.pixels)
         samples += made.samples
         if progress is not None:
             progress(number + 1, count)
     depths = None
     if depth:  # of those bricks once more, now that it is known what is in front of them
-        places = bricks.in_front([each[..., 3] for each in partial])
+        places = bricks.in_front([each[..., -1] for each in partial])
         found = (bricks.depth(context, number, in_front) for number, in_front in places)
         depths = nearest(found, resolved.image.height, resolved.image.width)
     return bricks.composited(partial), depths, samples

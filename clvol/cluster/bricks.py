@@ -46,11 +46,11 @@ def bricks_on_workers(
     rgba = np.concatenate(queue.results(strips))
     distances, received = None, rgba.nbytes
     if depth:
-        asked = [client.submit(worker.opacity_of, kept[number].future, pure=False) for number in range(len(kept))]
-        opacities = queue.results(asked)
-        depths = _depths(connection, bricks, opacities, common)
+        asked = [client.submit(worker.last_channel_of, kept[number].future, pure=False) for number in range(len(kept))]
+        last = queue.results(asked)
+        depths = _depths(connection, bricks, last, common)
         distances = nearest(depths, image.height, image.width)
-        received += sum(each.nbytes for each in [*opacities, *depths])
+        received += sum(each.nbytes for each in [*last, *depths])
     return rgba, distances, {
         "samples": sum(int(said["samples"]) for said in told.values()), "bricks": len(kept), "workers": len(workers),
         "largest_brick_bytes": max(int(said["bytes"]) for said in told.values()), "client_bytes": received,
@@ -80,10 +80,10 @@ def _rendered(
 
 
 def _depths(
-    connection: Connection, bricks: Bricks, opacities: Sequence[np.ndarray], common: dict[str, Any]
+    connection: Connection, bricks: Bricks, last: Sequence[np.ndarray], common: dict[str, Any]
 ) -> list[np.ndarray]:
     """Depths in the bricks in which opacity reaches one half, nearer ones first."""
-    places = list(bricks.in_front(opacities))
+    places = list(bricks.in_front(last))
     found: dict[int, np.ndarray] = {}
     queue = TaskQueue(connection, worker.brick_depth, os.getcwd())
     for answer in queue.run([{**common, "brick": number, "data": in_front} for number, in_front in places]):

@@ -19,7 +19,7 @@ import numpy as np
 from clvol.batch.frames import FramesRun
 from clvol.batch.job import Picture
 from clvol.batch.run import JobRun, Options
-from clvol.bricks.composite import composited
+from clvol.bricks.composite import put_together
 from clvol.bricks.render import BricksRun
 from clvol.cluster.facts import Digests, different_program
 from clvol.errors import ClvolError, ClvolWarning, DeviceError
@@ -69,12 +69,12 @@ def picture(request: str) -> dict[str, Any]:
 
 
 def brick(request: str) -> dict[str, Any]:
-    """Renders the partial picture of a brick (``clvol.cluster.bricks``): "pixels" float32 [height, width, 4]."""
+    """Renders the partial picture of a brick (``clvol.cluster.bricks``): "pixels" as in ``PartialPicture``."""
 
     def work(asked: dict[str, Any]) -> dict[str, Any]:
         run = _kept(asked["scene"], lambda: BricksRun(**asked["scene"]))
         made = run.make(asked["brick"])
-        return {"pixels": made.rgba, "samples": made.samples, "bytes": made.bytes}
+        return {"pixels": made.pixels, "samples": made.samples, "bytes": made.bytes}
 
     return _answered(request, work)
 
@@ -94,8 +94,8 @@ def told_of(answer: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in answer.items() if name != "pixels"}
 
 
-def opacity_of(answer: dict[str, Any]) -> np.ndarray:
-    return np.ascontiguousarray(answer["pixels"][..., 3])
+def last_channel_of(answer: dict[str, Any]) -> np.ndarray:
+    return np.ascontiguousarray(answer["pixels"][..., -1])
 
 
 def rows_of(answer: dict[str, Any], top: int, bottom: int) -> np.ndarray:
@@ -104,7 +104,7 @@ def rows_of(answer: dict[str, Any], top: int, bottom: int) -> np.ndarray:
 
 def composited_rows(partial: list[np.ndarray]) -> np.ndarray:
     """The same rows of partial pictures, the nearest first, put together."""
-    return composited(partial, *partial[0].shape[:2])
+    return put_together(partial, *partial[0].shape[:2])
 
 
 def tiles(request: str) -> dict[str, Any]:

@@ -44,6 +44,8 @@ def analyse(found: Findings) -> None:
         else:
             _note_operator(found, settings)
             _note_storage(found, settings)
+            if scene.integration.reads_blocks:
+                kept = settings.model_copy(update={"storage": "on-the-fly"})
     found.change(gradient=kept)
 
 
@@ -55,6 +57,10 @@ def _note_operator(found: Findings, settings: GradientSettings) -> None:
 
 def _note_storage(found: Findings, settings: GradientSettings) -> None:
     volume = found.scene.volume
+    if found.scene.integration.reads_blocks:
+        reason = "those of blocks are differences of the values blended between them"
+        found.note(no("precomputed gradients", reason))
+        return
     chosen = chosen_storage(volume, settings.operator, settings.storage, UNLIMITED)
     is_stored = chosen == "precomputed"
     reason = f"the storage is {settings.storage!r}"

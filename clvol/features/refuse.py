@@ -46,7 +46,8 @@ def refuse_effects(
     for effect in effects(resolved):
         if effect.called_for and effect.name not in known:
             what = f"got {got!r} in a scene that calls for {effect.name}"
-            expected = f"{instead!r}, or a scene of emission and absorption alone"
+            alone = "a scene without" if "lighting" in known else "a scene of emission and absorption alone"
+            expected = f"{instead!r}, or {alone}"
             raise SceneError(f"{resolved.origin}: {key}", what, expected)
 
 

@@ -12,6 +12,7 @@ _BY_SEGMENTS = ("raycast",)  # one rule for all segments of a ray
 _BY_STEPS = ("raycast", "multiresolution", "pyramid", "slicing")
 _SHADED = ("raycast",)
 _BY_SLICES = ("slicing",)  # methods that draw slices one over the other
+_OF_BLOCKS = ("multiresolution",)  # methods whose volume is blocks, each at a resolution of its own
 
 
 class Integration(Table):
@@ -136,6 +137,11 @@ class Integration(Table):
     def draws_slices(self) -> bool:
         """Whether the method draws slices one over the other, as [slicing] says."""
         return self.method in _BY_SLICES
+
+    @property
+    def reads_blocks(self) -> bool:
+        """Whether the method samples blocks, each at a resolution of its own."""
+        return self.method in _OF_BLOCKS
 
     @classmethod
     def table_name(cls) -> str:

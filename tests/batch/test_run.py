@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -81,3 +82,11 @@ def test_a_picture_that_cannot_be_written_is_one_failure(job, monkeypatch):
     assert "no memory" in failed[3] and "this is a folder" in failed[6]
     assert not os.path.exists("3.npy") and not [name for name in os.listdir() if name.startswith(".")]
     assert threading.main_thread() not in threads
+
+
+def test_a_scene_that_is_wrong_costs_the_others_nothing(job, monkeypatch):
+    made = []
+    monkeypatch.setattr(run_module, "Renderer", lambda *words, **how: made.append(Renderer(*words, **how)) or made[-1])
+    wrong = replace(job[2], settings=(("integration.step", -1.0),))
+    outcome = JobRun([*job[:2], wrong, *job[3:]], Options(results="r.jsonl"), lambda result: None).run()
+    assert outcome.counts == {"rendered": 7, "kept": 0, "failed": 1} and len(made) == 1

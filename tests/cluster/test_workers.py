@@ -174,6 +174,19 @@ def test_bricks_of_workers_are_those_of_one_process_and_nearly_the_whole(local):
     assert np.isfinite(depth).any()
 
 
+@pytest.mark.slow  # two more programs in each worker
+def test_bricks_of_a_projection_show_the_best_one(local):
+    overrides = [*STILL, 'integration.compositing="maximum"']
+    bricks = bricks_of(load_scene("film.toml", overrides).resolve(), 5)
+    scene = {"path": "film.toml", "overrides": overrides, "count": 5, "devices": None, "memory_cap": None}
+    rgba, depth, _ = bricks_on_workers(local, bricks, scene, ["film.toml", "waves.npy"], depth=True)
+    words = ["--quiet", *(word for each in overrides for word in ("--set", each))]
+    assert main(["render", "film.toml", "-o", "p.exr", *words]) == 0
+    whole = load_image("p.exr")
+    np.testing.assert_array_equal(whole["rgba"], rgba)
+    np.testing.assert_allclose(whole["depth"], depth, rtol=1e-6)
+
+
 @pytest.mark.slow  # a worker that starts again, some seconds
 def test_a_worker_that_dies_with_its_bricks_costs_no_picture(local):
     bricks = bricks_of(load_scene("film.toml", STILL).resolve(), 4)

@@ -538,9 +538,7 @@ def test_effects_without_a_consequence_compile_the_same_kernel():
         ({"depth_cue": {}}, "depth cueing"),
     ],
 )
-@pytest.mark.parametrize(
-    "key, got", [("method", "reference"), ("method", "multiresolution"), ("quadrature", "cells")]
-)
+@pytest.mark.parametrize("key, got", [("method", "reference"), ("quadrature", "cells")])
 def test_what_integrates_emission_and_absorption_alone_refuses_the_rest(tables, effect, key, got):
     resolved = scene_with(**tables, integration={key: got})
     message = f"integration.{key}: got '{got}' in a scene that calls for {effect}, expected .*alone"

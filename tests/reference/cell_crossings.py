@@ -21,7 +21,8 @@ def medium_crossings(
     if medium.noise:
         arguments = medium.value, origin, direction, t0, t1, isovalues
         return crossings(*arguments, known_side=known_side, **how)
-    return cell_crossings(medium.field, origin, direction, t0, t1, isovalues, known_side=known_side)
+    field = getattr(medium.field, "of_surfaces", medium.field)
+    return cell_crossings(field, origin, direction, t0, t1, isovalues, known_side=known_side)
 
 
 def cell_crossings(field, origin, direction, t0, t1, isovalues, *, known_side=None) -> Crossings:

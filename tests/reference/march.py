@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import dataclasses
+from dataclasses import dataclass
 
 import numpy as np
 
+from reference.block_medium import BlockMediumField
 from reference.cell_crossings import medium_crossings
 from reference.clip import kept_stretches
 from reference.environment import EnvironmentMap
@@ -26,20 +28,21 @@ def render_twin(
     rays: tuple[np.ndarray, np.ndarray] | None = None,
     noise_tile: np.ndarray | None = None,
     environment_map: np.ndarray | None = None,
+    field: BlockMediumField | None = None,
 ) -> np.ndarray:
     """The picture of ``resolved``, premultiplied linear RGBA, float64 [height, width, 4].
 
     ``camera``: another, complete one. ``step``: in smallest voxel edges, instead of the scene's.
     ``rays``: world origins and unit directions, float64 [..., 3] each, instead of the camera's:
     then [..., 4]. ``noise_tile`` uint8 [z, y, x, 4] and ``environment_map`` [h, w, 3] instead of
-    what the scene names.
+    what the scene names. ``field``: in place of the volume's reconstruction.
     """
     if rays is None:
         camera = camera or resolved.camera
         rays = camera.world_rays(resolved.image.width, resolved.image.height)
     shape = rays[0].shape[:-1]
     origin, direction = (np.asarray(part, np.float64).reshape(-1, 3) for part in rays)
-    march = _March(resolved, step, noise_tile, environment_map)
+    march = _March(resolved, step, noise_tile, environment_map, field)
     return march.render(origin, direction).reshape(*shape, 4)
 
 
@@ -52,13 +55,13 @@ class _Rays:
     direction: np.ndarray
     kept: object
     side: np.ndarray
-    travelled: np.ndarray = field(init=False)  # world length before origin, of a bent ray
-    slot: np.ndarray = field(init=False)
-    i: np.ndarray = field(init=False)
-    bends: np.ndarray = field(init=False)
-    alive: np.ndarray = field(init=False)
-    color: np.ndarray = field(init=False)
-    opacity: np.ndarray = field(init=False)
+    travelled: np.ndarray = dataclasses.field(init=False)  # world length before origin, of a bent ray
+    slot: np.ndarray = dataclasses.field(init=False)
+    i: np.ndarray = dataclasses.field(init=False)
+    bends: np.ndarray = dataclasses.field(init=False)
+    alive: np.ndarray = dataclasses.field(init=False)
+    color: np.ndarray = dataclasses.field(init=False)
+    opacity: np.ndarray = dataclasses.field(init=False)
 
     def __post_init__(self) -> None:
         n = len(self.origin)
@@ -76,11 +79,11 @@ class _Rays:
 
 
 class _March:
-    def __init__(self, resolved, step, noise_tile, environment_map) -> None:
+    def __init__(self, resolved, step, noise_tile, environment_map, field) -> None:
         self.resolved = resolved
         integration = resolved.integration
         self.mode = getattr(integration, "compositing", "over")
-        self.medium = Medium(resolved, noise_tile)
+        self.medium = Medium(resolved, noise_tile, field)
         self.step = (step or integration.step) * self.medium.grid.smallest_edge
         self.stop = 1.0 - integration.early_termination
         self.environment = _environment(resolved.environment, environment_map)

@@ -29,14 +29,15 @@ class Segment:
 class Medium:
     """The volume of a resolved scene with its transfer functions, factors, fields and noise.
 
-    ``tile``: uint8 [z, y, x, 4] for all terms; without it, their seeds decide.
+    ``tile``: uint8 [z, y, x, 4] for all terms; without it, their seeds decide. ``field``: in place of the volume's own
+    reconstruction (``BlockMediumField``).
     """
 
-    def __init__(self, resolved, tile: np.ndarray | None = None) -> None:
+    def __init__(self, resolved, tile: np.ndarray | None = None, field=None) -> None:
         integration, volume = resolved.integration, resolved.volume
         self.grid = volume.grid
         self.value_range = volume.value_range
-        self.field = Field(
+        self.field = field or Field(
             volume,
             integration.filter,
             resolved.gradient.operator,

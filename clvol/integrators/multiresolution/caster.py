@@ -7,11 +7,14 @@ from typing import Any, TypeVar
 import numpy as np
 
 from clvol.device.arguments import (
+    EFFECT_ARGUMENTS,
     Arguments,
     block_arguments,
     scene_arguments,
     view_argument,
 )
+from clvol.device.effect_state import COUNTERS
+from clvol.device.empty_space import dilated, distance_map
 from clvol.device.transfer_lookup import device_function, scene_nodes, segment_classification
 from clvol.device.view import ray_frame
 from clvol.device.volume import ResidentVolume
@@ -80,7 +83,8 @@ def blocks_struct(grid: BlockGrid) -> np.ndarray:
 
 
 class BlockCaster(Raycaster):
-    """As ``Raycaster``, for scenes of emission and absorption and the method "multiresolution".
+    """As ``Raycaster``, for the method "multiresolution". Scenes with effects take even steps, by the ray caster's own
+    marches (cl/march_shaded.h, cl/march_effects.h), with values and gradients of blocks.
 
     ``blocks``: the resident blocks. ``render`` shows the blocks that are resident at that moment; ``set_resident`` must
     be called after they have changed.
@@ -138,13 +142,14 @@ class BlockCaster(Raycaster):
         self.switches = block_switches(
             self.resolved, self.lanes, self.skip, self.stepping, self.function
         )
-        self.switches |= self.blocks.switches | self.march.switches()
+        self.switches |= self.blocks.switches | self.effects.switches | self.march.switches()
 
     def _fitting_stepping(self) -> str:
         """The scene's stepping, or "full" where it gives the same steps: if all visible blocks are to be at full
-        resolution, one step per sample is an even step, for which there is a faster kernel."""
+        resolution, one step per sample is an even step, for which there is a faster kernel. Scenes with effects take
+        even steps."""
         stepping, goal = self.settings.stepping, self.blocks.goal
-        if stepping == "pyramid":  # its march takes steps of its own
+        if stepping == "pyramid" or self.effects.switches:  # its march takes steps of its own
             return "full"
         is_even = not ((goal > 0) & (goal != DROPPED)).any()
         return "full" if is_even and stepping in ("limited", "naive") else stepping
@@ -154,12 +159,40 @@ class BlockCaster(Raycaster):
 
     def set_resident(self) -> None:
         """Finds empty space anew in the resident blocks."""
-        context, volume = self.context, self.volume
         stepping = self._fitting_stepping()
         if stepping != self.stepping:
             self.stepping = stepping
             self._set_switches()
-        between, at = self._visible
+        found = self._cells_that_show(*self._visible)
+        self._set_steps()
+        self.shown_cells, self.hole_cells = found != CELLS["empty"], found == CELLS["beside-holes"]
+        self.shown = self.shown_cells
+        if self.resolved.isosurfaces:
+            self.shown = self.shown | self._surface_cells()
+        self.visible_share = float(self.shown.mean())
+        self.march.find_empty_space(self, self.shown)
+        self.march.scene_changed(self)
+
+    def _surface_cells(self) -> np.ndarray:
+        """As in ``Raycaster``, of the resident blocks. Cells of voxels lie across the cells of blocks: those beside
+        count, too."""
+        nodes = self.nodes.values
+        between, at = np.zeros(nodes.size - 1, bool), np.zeros(nodes.size, bool)
+        for surface in self.resolved.isosurfaces:
+            place = int(np.searchsorted(nodes, float(self.volume.values(surface.value))))
+            between[max(place - 2, 0) : place + 1] = at[max(place - 1, 0) : place + 1] = True
+        self.surface_cells = dilated(self._cells_that_show(between, at) != CELLS["empty"])
+        self.effects.set_surfaces(distance_map(self.context, self.surface_cells))
+        return self.surface_cells
+
+    def _beside_surfaces(self) -> None:
+        """As in ``Raycaster``: every tile takes the same kernel, since cells of blocks are those of no surface's."""
+        return None
+
+    def _cells_that_show(self, between: np.ndarray, at: np.ndarray) -> np.ndarray:
+        """uint8 [z, y, x], ``CELLS``: cells of resident blocks that have a value in one of the intervals ``between``
+        nodes, or ``at`` a node."""
+        context, volume = self.context, self.volume
         view = self.volume_view()
         kernel = context.kernel(
             "block_cells.cl",
@@ -184,13 +217,7 @@ class BlockCaster(Raycaster):
         for first, count in self.blocks.boxes():
             box = tuple(n * edge for n in count)
             kernel(context.queue, box, None, first=(*(n * edge for n in first), 0), **(given | self._resident_arrays()))
-        self._set_steps()
-        found = context.read(cells)
-        self.shown_cells, self.hole_cells = found != CELLS["empty"], found == CELLS["beside-holes"]
-        self.shown = self.shown_cells
-        self.visible_share = float(self.shown_cells.mean())
-        self.march.find_empty_space(self, self.shown_cells)
-        self.march.scene_changed(self)
+        return context.read(cells)
 
     @property
     def _switches_of_blocks(self) -> dict[str, int]:
@@ -261,25 +288,35 @@ class BlockCaster(Raycaster):
 
     @property
     def _sample_arguments(self) -> tuple[Arguments, dict[str, DeviceArray]]:
-        return self._declared, self._block_arrays()
+        if not self.effects.switches:
+            return self._declared, self._block_arrays()
+        return EFFECT_ARGUMENTS + self._declared, {**self.effects.arrays, **self._block_arrays()}
 
     @property
     def _counter_names(self) -> tuple[str, ...]:
-        return (*self.march.counters, *BLOCK_COUNTERS)
+        return (*super()._counter_names, *BLOCK_COUNTERS)
+
+    def counted(self, counts: np.ndarray) -> dict[str, int]:
+        """As in ``Raycaster``, with what blocks count."""
+        sums = counts.sum(axis=0, dtype=np.uint64)
+        named = {name: int(total) for name, total in zip(self._counter_names, sums)}
+        shown = self.effects.counted({name: named[name] for name in COUNTERS if name in named})
+        return {name: total for name, total in named.items() if name not in COUNTERS or name in shown}
 
     # As ``RayEngine``, for ``TiledRenderer``
 
     def packets(self, depth: bool) -> PacketRenderer:
         switches = {**self.switches, "WITH_DEPTH": int(depth)}
         self.check_structs(switches)
+        declared, arrays = self._sample_arguments
         return PacketRenderer(
             "tile_rays.cl",
             switches,
-            scene_arguments(self.volume.switches["VOXEL_BITS"]) + self._declared,
-            {**self._scene_arrays(), **self._block_arrays()},
+            scene_arguments(self.volume.switches["VOXEL_BITS"]) + declared,
+            {**self._scene_arrays(), **arrays},
             self.lanes,
             self._most_samples() * SECONDS_A_SAMPLE,
-            len(BLOCK_COUNTERS),
+            len(self._counter_names),
         )
 
     def picture_view(self, camera: Camera, width: int, height: int) -> np.ndarray:
@@ -307,11 +344,11 @@ def block_switches(
     """The switches (-D) for a scene of blocks, without those of the samples' type and buffers.
     ``stepping`` and ``function``: used in place of the scene's."""
     settings = resolved.multiresolution
+    switches = raycast_switches(resolved, lanes=lanes, skip=skip, function=function)
+    even = stepping is None and switches.get("EFFECTS")
     return {
-        **raycast_switches(
-            resolved, lanes=lanes, skip=skip, function=function
-        ),
+        **switches,
         "BLOCKS": 1,
-        "STEPPING": STEPPINGS[stepping or settings.stepping],
+        "STEPPING": STEPPINGS["full" if even else stepping or settings.stepping],
         "INTERBLOCK": int(settings.interblock),
     }

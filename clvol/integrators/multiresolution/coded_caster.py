@@ -27,7 +27,8 @@ class CodedBlockCaster(BlockCaster):
     ) -> Iterator[np.ndarray | None]:
         blocks = self.blocks
         assert isinstance(blocks, ResidentCodes)
-        ranges = seen_by_tiles(frame, self.resolved.volume.grid, blocks.blocks, blocks.levels, size, self.tile)
+        grids, reach = (self.resolved.volume.grid, blocks.blocks), float(bool(self.effects.switches.get("GRADIENT")))
+        ranges = seen_by_tiles(frame, *grids, blocks.levels, size, self.tile, reach)
         columns, rows = (-(-n // m) for n, m in zip(size, self.tile))
         room = blocks.sample_bytes(blocks.levels)
         for group, seen in tile_groups(ranges, room, blocks.pool_bytes, columns, rows, tiles):

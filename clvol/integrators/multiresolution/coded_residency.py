@@ -14,6 +14,7 @@ from clvol.integrators.multiresolution.choice_selection import Chosen, select_ch
 from clvol.integrators.multiresolution.code_choices import Choices, choices_of
 from clvol.integrators.multiresolution.coded_source import CodedSource
 from clvol.integrators.multiresolution.resident_codes import ResidentCodes, Wanted
+from clvol.integrators.multiresolution.scene_errors import EffectsOnBlocks, effects_on_blocks, scene_errors
 from clvol.integrators.multiresolution.selection import SourceErrors, source_errors
 from clvol.integrators.multiresolution.view_weight import view_weights, visibility
 from clvol.integrators.multiresolution.visible_error import ShownColors
@@ -44,7 +45,7 @@ class CodedResidency:
         self.choices: Choices = choices_of(context, source, self.memory_bytes // _BATCH_SHARE)
         self.blocks = ResidentCodes(context, source, self.memory_bytes)
         self.chosen: Chosen | None = None
-        self._errors: tuple[TransferFunction, np.ndarray, SourceErrors, np.ndarray] | None = None
+        self._errors: tuple[TransferFunction, np.ndarray, EffectsOnBlocks, SourceErrors, np.ndarray] | None = None
         self._means = np.concatenate([part.mean[-1] for part in source.statistics()])
         self._request: tuple = ()
         self.generation = 0  # increases whenever something on the device has changed
@@ -61,11 +62,12 @@ class CodedResidency:
         settings, image = resolved.multiresolution, resolved.image
         view = resolved.camera, image.width, image.height
         weighting = settings.view_weighting, settings.occlusion
-        request = resolved.transfer_function, view, weighting, resolved.background.tobytes()
+        effects = effects_on_blocks(resolved)
+        request = resolved.transfer_function, view, weighting, resolved.background.tobytes(), effects
         if request == self._request:
             return False
         self._request = ()
-        found, errors = self._source_errors(resolved.transfer_function, resolved.background)
+        found, errors = self._source_errors(resolved.transfer_function, resolved.background, effects)
         if settings.view_weighting:
             errors = errors * self._weights(resolved, found)
         sizes = np.where(found.dropped, 0, self.choices.size)
@@ -85,22 +87,22 @@ class CodedResidency:
         return of_levels[self.choices.level]
 
     def _source_errors(
-        self, function: TransferFunction, background: np.ndarray
+        self, function: TransferFunction, background: np.ndarray, effects: EffectsOnBlocks
     ) -> tuple[SourceErrors, np.ndarray]:
         """The errors of levels, and those of all choices, float32 [choices, n]."""
         if self._errors is not None:
-            old_function, old_background, known, of_choices = self._errors
-            if old_function == function and np.array_equal(old_background, background):
+            old_function, old_background, old_effects, known, of_choices = self._errors
+            if old_function == function and np.array_equal(old_background, background) and old_effects == effects:
                 return known, of_choices
         source = self.source
-        found = source_errors(source, function, background)
+        found = scene_errors(source, source_errors(source, function, background), effects, background)
         shown = ShownColors(function, source.blocks.edge * source.grid.smallest_edge, background)
         errors = np.zeros((len(self.choices.level), source.blocks.count), np.float32)
         for part in source.statistics():
             piece = slice(part.first, part.first + len(part.reach_low))
             errors[:, piece] = self.choices.errors(found.errors[:, piece], part, shown)
         errors[:, found.dropped] = 0.0
-        self._errors = function, np.array(background), found, errors
+        self._errors = function, np.array(background), effects, found, errors
         return found, errors
 
     def _fitting(
@@ -149,7 +151,8 @@ class CodedResidency:
         whole = int(decoded.sum())
         frame = ray_frame(resolved.camera, self.source.grid, image.width, image.height)
         grids = self.source.grid, self.source.blocks
-        ranges = seen_by_tiles(frame, *grids, wanted.level, (image.width, image.height), tile)
+        reach = float(effects_on_blocks(resolved)[1])
+        ranges = seen_by_tiles(frame, *grids, wanted.level, (image.width, image.height), tile, reach)
         of_tiles = sums_over_tiles(ranges, decoded, -(-image.width // TILE), -(-image.height // TILE))
         least = max(int(of_tiles.max(initial=0)), least_pool(decoded, self.source.blocks), total // _POOL_SHARE)
         return min(least, whole), whole
@@ -221,14 +224,16 @@ def least_pool(decoded: np.ndarray, blocks: BlockGrid) -> int:
 
 
 def seen_by_tiles(
-    frame: RayFrame, grid: Grid, blocks: BlockGrid, levels: np.ndarray, picture: tuple[int, int], tile: tuple[int, int]
-) -> Ranges:
+    frame: RayFrame, grid: Grid, blocks: BlockGrid, levels: np.ndarray, picture: tuple[int, int], tile: tuple[int, int],
+    reach: float = 0.0,
+) -> Ranges:  # fmt: skip
     """The tiles of a picture whose rays may need samples of each block at ``levels``: those that see it, or what is
-    within half the distance of its samples around it, where it has a share in blended values."""
+    within half the distance of its samples around it, where it has a share in blended values. ``reach``: voxels that
+    gradients reach beyond that."""
     spacing = np.asarray(grid.spacing)
     low = blocks.places(np.arange(blocks.count))[:, ::-1] * blocks.edge - 0.5
     high = low + blocks.edge
     coarse = np.minimum(levels, blocks.levels - 1).astype(np.int64)
-    beside = 0.5 * (1 << coarse)[:, None] + 0.1  # and rounding
+    beside = 0.5 * (1 << coarse)[:, None] + (reach + 0.1)  # and rounding
     to_edges = np.diag(spacing / spacing.min())
     return tile_ranges(low - beside, high + beside, frame, to_edges, picture, tile)

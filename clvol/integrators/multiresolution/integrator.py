@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from clvol.device.voxels import as_rendered
 from clvol.errors import SceneError
-from clvol.features import reduced_for_frames
+from clvol.features import called_for, reduced_for_frames
 from clvol.features.refuse import PLAIN, refuse_effects, refuse_keys, refuse_quadrature, refuse_sparse_rays
 from clvol.integrators.base import Prepared, Progress, Shared
 from clvol.integrators.multiresolution.caster import block_switches
@@ -32,6 +32,10 @@ _KEYS = {
     "classification": ("post", "preintegrated"),
     "voxel_precision": ("stored",),
 }
+_EFFECTS = PLAIN | {
+    "clipping", "lighting", "specular", "environment", "environment background", "gradients", "depth cueing",
+    "isosurfaces",
+}  # fmt: skip
 _BUDGETS = 2  # volumes and budgets whose blocks stay resident: they hold all the memory
 
 
@@ -55,8 +59,18 @@ class Multiresolution:
             self._check_slices(resolved)
         if resolved.compression.decode == "resident":
             self._check_codes(resolved)
-        refuse_effects(resolved, "integration.method", self.name, "raycast", PLAIN)
+        if _slices(resolved):
+            refuse_effects(resolved, "multiresolution.stepping", "pyramid", "limited", PLAIN)
+        refuse_effects(resolved, "integration.method", self.name, "raycast", _EFFECTS)
+        self._check_gradients(resolved)
         refuse_quadrature(resolved)
+
+    def _check_gradients(self, resolved: ResolvedScene) -> None:
+        got = resolved.gradient.storage
+        if got == "precomputed" and "gradients" in called_for(resolved):
+            where = f"{resolved.origin}: gradient.storage"
+            what = f"got {got!r} with the method 'multiresolution', whose blocks change with the view"
+            raise SceneError(where, what, "'auto' or 'on-the-fly', or the method 'raycast'")
 
     def _check_codes(self, resolved: ResolvedScene) -> None:
         where, got = f"{resolved.origin}: compression.decode", "got 'resident' with the method 'multiresolution'"

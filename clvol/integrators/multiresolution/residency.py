@@ -9,6 +9,7 @@ import numpy as np
 
 from clvol.errors import SceneError
 from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
+from clvol.integrators.multiresolution.scene_errors import EffectsOnBlocks, effects_on_blocks, scene_errors
 from clvol.integrators.multiresolution.selection import Selection, SourceErrors, select_blocks, source_errors
 from clvol.opencl.context import DeviceContext
 from clvol.scene.resolve import ResolvedScene
@@ -41,6 +42,7 @@ class Residency:
         self.memory_bytes = memory
         self.selection: Selection | None = None
         self._errors: tuple[TransferFunction, np.ndarray, SourceErrors] | None = None
+        self._with_effects: tuple[SourceErrors, EffectsOnBlocks, SourceErrors] | None = None
         self._means: np.ndarray | None = None
         self._request: tuple = ()
         self._waits = True
@@ -73,10 +75,11 @@ class Residency:
         settings, function = resolved.multiresolution, resolved.transfer_function
         camera = resolved.camera if settings.view_weighting else None
         view = (camera, resolved.image.width, resolved.image.height) if camera else None
-        request = (function, view, settings.occlusion, resolved.background.tobytes())
+        effects = effects_on_blocks(resolved)
+        request = (function, view, settings.occlusion, resolved.background.tobytes(), effects)
         if request == self._request:
             return self.blocks.wait(progress) if wait else self.blocks.commit()
-        known = self._source_errors(function, resolved.background)
+        known = self._scene_errors(function, resolved.background, effects)
         self.selection = select_blocks(
             self.source, function, resolved.background, camera, resolved.image,
             self.blocks.sample_bytes, occlusion=settings.occlusion, known=known,
@@ -95,6 +98,15 @@ class Residency:
         if self._means is None:
             self._means = np.concatenate([part.mean[-1] for part in self.source.statistics()])
         return self._means
+
+    def _scene_errors(
+        self, function: TransferFunction, background: np.ndarray, effects: EffectsOnBlocks
+    ) -> SourceErrors:
+        known = self._source_errors(function, background)
+        if self._with_effects is None or self._with_effects[:2] != (known, effects):
+            found = scene_errors(self.source, known, effects, background)
+            self._with_effects = known, effects, found
+        return self._with_effects[2]
 
     def _source_errors(self, function: TransferFunction, background: np.ndarray) -> SourceErrors:
         if self._errors is not None:

@@ -50,8 +50,10 @@ class ViewWeights:
 
 
 @dataclass(frozen=True, eq=False)
-class _Axes:
-    """``start`` [3]: position of index (-0.5, -0.5, -0.5) relative to the eye. ``steps`` [3, 3]: row k is the
+class BlockAxes:
+    """Where the blocks of a grid lie, seen from a point, in smallest voxel edges.
+
+    ``start`` [3]: position of index (-0.5, -0.5, -0.5) relative to the point. ``steps`` [3, 3]: row k is the
     world vector of a voxel along x, y or z. ``centres``, ``halves``: centres of the blocks along x, y and
     z, in voxels from ``start``, and half their lengths."""
 
@@ -72,17 +74,18 @@ class _Axes:
         return z_[z, None, None] + y[:, None] + x
 
 
-def _axes(camera: Camera, grid: Grid, blocks: BlockGrid) -> _Axes:
+def block_axes(point: np.ndarray, grid: Grid, blocks: BlockGrid) -> BlockAxes:
+    """The blocks as seen from a world point [3]."""
     unit = grid.smallest_edge
     steps = (grid.direction * (np.asarray(grid.spacing) / unit)).T
-    origin = (np.asarray(grid.origin, np.float64) - np.asarray(camera.position, np.float64)) / unit
+    origin = (np.asarray(grid.origin, np.float64) - np.asarray(point, np.float64)) / unit
     centres, halves = [], []
     for n in blocks.shape[::-1]:
         low = np.arange(0.0, n, blocks.edge)
         high = np.minimum(low + blocks.edge, n)
         centres.append(0.5 * (low + high))
         halves.append(0.5 * (high - low))
-    return _Axes(origin - 0.5 * steps.sum(axis=0), steps, tuple(centres), tuple(halves))
+    return BlockAxes(origin - 0.5 * steps.sum(axis=0), steps, tuple(centres), tuple(halves))
 
 
 def view_weights(
@@ -94,7 +97,7 @@ def view_weights(
     A block counts as outside the view if it lies beyond one of the view's planes (including that of the eye), by
     more than the reach of a voxel. A block that may hold the eye covers the whole picture.
     """
-    axes = _axes(camera, grid, blocks)
+    axes = block_axes(np.asarray(camera.position), grid, blocks)
     nz, ny, nx = blocks.counts
     pixels = np.empty(blocks.counts, np.float32)
     spacing = np.empty(blocks.counts, np.float32)
@@ -108,7 +111,7 @@ def view_weights(
     return ViewWeights(pixels.ravel(), spacing.ravel())
 
 
-def _inside(camera: Camera, grid: Grid, axes: _Axes, z: slice, aspect: float) -> np.ndarray:
+def _inside(camera: Camera, grid: Grid, axes: BlockAxes, z: slice, aspect: float) -> np.ndarray:
     """bool [bz, by, bx]: whether a block is not entirely beyond one of the view's planes."""
     forward, right, up = camera.basis()
     if camera.projection == "orthographic":
@@ -127,7 +130,7 @@ def _inside(camera: Camera, grid: Grid, axes: _Axes, z: slice, aspect: float) ->
 
 
 def _areas(
-    camera: Camera, grid: Grid, axes: _Axes, z: slice, width: int, height: int
+    camera: Camera, grid: Grid, axes: BlockAxes, z: slice, width: int, height: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pixels covered [bz, by, bx], and pixels per longest voxel edge."""
     forward, right, up = camera.basis()

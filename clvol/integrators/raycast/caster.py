@@ -13,6 +13,7 @@ from clvol.device.arguments import EFFECT_ARGUMENTS, Arguments, counts_argument,
 from clvol.device.effect_state import COUNTERS, EffectState
 from clvol.device.effect_switches import effect_switches
 from clvol.device.empty_space import dilated, distance_map, surface_mask, visible_mask
+from clvol.device.function_tables import function_tables
 from clvol.device.light_volume import METHODS, fill_light_volume, shadow_step
 from clvol.device.memory import Perturbation
 from clvol.device.noise import perturbation
@@ -23,8 +24,6 @@ from clvol.device.view import EVERY_PIXEL, PixelLattice, PixelList, Pixels, RayF
 from clvol.device.volume import DeviceVolume, ResidentVolume
 from clvol.features import reduced_for_frames
 from clvol.features.gradient_storage import DeviceLimits
-from clvol.features.segments import has_integral_table
-from clvol.features.values import reachable
 from clvol.integrators.base import FrameData, Progress, Shared
 from clvol.integrators.raycast.cell_depths import cell_depths
 from clvol.integrators.raycast.constant_cells import changing_cells
@@ -43,9 +42,8 @@ from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE, bands
 from clvol.transfer import TransferFunction
-from clvol.transfer.integral_table import integral_table
 from clvol.transfer.lookup_nodes import LookupNodes, visible_cells
-from clvol.transfer.pieces import columns, piece_count, piece_table, shown_spans, value_gate
+from clvol.transfer.pieces import shown_spans, value_gate
 
 SECONDS_A_SAMPLE = 1e-8  # a first guess, used to divide a frame into launches
 _BAND_SECONDS = 0.5
@@ -230,19 +228,11 @@ class Raycaster:
         return other
 
     def _build_table(self) -> None:
-        width = max(columns(piece_count(function)) for function in self._functions)
         origin = float(np.float32(self.nodes.first))
-        tables = [piece_table(each, self.length, width, origin) for each in self._functions]
-        integration = self.resolved.integration
-        if has_integral_table(integration):
-            ends = [float(x) for x in self.volume.values(np.array(reachable(self.resolved)))]
-            tables = [
-                np.concatenate([table.ravel(), integral_table(each, ends[0], ends[1], integration.table_size, origin)])
-                for table, each in zip(tables, self._functions)
-            ]
-        self.pieces = (width, tables[0].size, max(map(piece_count, self._functions)))
-        self.step_units = self.length / self._functions[0].opacity_unit
-        self.table = self.context.upload(np.concatenate(tables, axis=None))
+        functions, values = self._functions, self.volume.values
+        tables, self.pieces = function_tables(self.resolved, functions, values, self.length, origin)
+        self.step_units = self.length / functions[0].opacity_unit
+        self.table = self.context.upload(tables)
 
     def _follow_data(self) -> None:
         """Finds how many steps a segment may have, if steps follow the data."""

@@ -1,0 +1,95 @@
+"""What a scene's effects make of the errors of blocks: those that clips remove are dropped, and hide nothing; what lies
+beside a block that shows, and shows nothing itself, has a share in gradients there; and surfaces show where voxels are
+on the wrong side of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clvol.features import called_for, reduced_for_frames
+from clvol.integrators.multiresolution.clipped_blocks import kept_shares, removed_blocks
+from clvol.integrators.multiresolution.selection import SourceErrors, source_errors
+from clvol.scene.clip import Clip
+from clvol.scene.isosurface import Isosurface
+from clvol.scene.resolve import ResolvedScene
+from clvol.store.geometry import BlockGrid
+from clvol.store.source import BlockSource
+from clvol.transfer import TransferFunction
+from clvol.volume.grid import Grid
+
+# What an error beside a block counts for: of its voxels one layer has a share in the gradients there.
+_BESIDE = 1.0 / 16.0
+
+EffectsOnBlocks = tuple[tuple[Clip, ...], bool, tuple[Isosurface, ...]]
+
+
+def effects_on_blocks(resolved: ResolvedScene) -> EffectsOnBlocks:
+    """What of a scene's effects matters to the choice of blocks: its clips, whether anything needs gradients, and its
+    surfaces."""
+    reduced = reduced_for_frames(resolved)
+    return reduced.clips, "gradients" in called_for(resolved), reduced.isosurfaces
+
+
+def scene_errors(
+    source: BlockSource, known: SourceErrors, effects: EffectsOnBlocks, background: np.ndarray
+) -> SourceErrors:
+    """``known``, the errors of ``source`` under the transfer function alone over ``background`` (linear [3]), with the
+    ``effects`` of a scene."""
+    if effects[2]:
+        known = _with_surfaces(source, known, effects[2], background)
+    return with_effects(known, effects, source.grid, source.blocks)
+
+
+def _with_surfaces(
+    source: BlockSource, known: SourceErrors, surfaces: tuple[Isosurface, ...], background: np.ndarray
+) -> SourceErrors:
+    """Surfaces as a medium that is behind them what they are: its errors are those of voxels on the wrong side. A block
+    that no surface goes through shows none, but may hide what is behind it."""
+    ordered = sorted(surfaces, key=lambda surface: surface.value)
+    values = np.array([surface.value for surface in ordered], np.float64)
+    opacities = np.array([surface.opacity for surface in ordered], np.float64)
+    colors = np.array([surface.color for surface in ordered], np.float64)
+    path = source.blocks.edge * source.grid.smallest_edge
+    steps = TransferFunction(
+        np.repeat(values, 2), np.append(0.0, np.repeat(opacities, 2)[:-1]),
+        np.concatenate([colors[:1], np.repeat(colors, 2, axis=0)[:-1]]), path,
+    )  # fmt: skip
+    found = source_errors(source, steps, background)
+    through = np.zeros(source.blocks.count, bool)
+    for part in source.statistics():
+        piece = slice(part.first, part.first + len(part.reach_low))
+        for value in values:
+            through[piece] |= (part.reach_low <= value) & (value <= part.reach_high)
+    errors = known.errors + np.where(through, found.errors, np.float32(0.0))
+    return SourceErrors(errors, known.dropped & ~through, known.transmittances * found.transmittances)
+
+
+def with_effects(known: SourceErrors, effects: EffectsOnBlocks, grid: Grid, blocks: BlockGrid) -> SourceErrors:
+    """``known``, errors of what shows, with clips and gradients of ``effects``, over ``blocks`` of ``grid``."""
+    clips, needs_gradients, _ = effects
+    errors, dropped, transmittances = known.errors, known.dropped, known.transmittances
+    if needs_gradients and dropped.any():
+        beside = dropped & _largest_around(~dropped, blocks)
+        errors = errors.copy()
+        for level in range(len(errors)):
+            errors[level, beside] = _BESIDE * _largest_around(errors[level], blocks)[beside]
+        dropped = dropped & ~beside
+    if clips:
+        removed = removed_blocks(clips, grid, blocks)
+        shares = kept_shares(clips, grid, blocks, ~removed & (transmittances < 1.0))
+        transmittances = np.where(removed, np.float32(1.0), transmittances**shares)
+        errors = np.where(removed, np.float32(0.0), errors)
+        dropped = dropped | removed
+    return SourceErrors(errors, dropped, transmittances)
+
+
+def _largest_around(values: np.ndarray, blocks: BlockGrid) -> np.ndarray:
+    """[n]: the largest of each block's value and those of the 26 around it."""
+    out = values.reshape(blocks.counts)
+    for axis in range(3):
+        out = np.moveaxis(out, axis, 0)
+        wider = out.copy()
+        np.maximum(wider[1:], out[:-1], out=wider[1:])
+        np.maximum(wider[:-1], out[1:], out=wider[:-1])
+        out = np.moveaxis(wider, 0, axis)
+    return out.ravel()
