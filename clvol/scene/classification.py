@@ -124,6 +124,8 @@ def _rule_errors(volume: Volume, function: TransferFunction, step: float) -> Rul
     if kept is None or kept[0] != key:  # else the function before this one showed the same cells
         kept = _sampled[volume] = key, _values_along(volume, cells, length, rng)
     values, inside, counts = kept[1]
+    if np.count_nonzero(counts.any(axis=1)) < _FEWEST:  # steps are longer than the volume
+        return None
     values = np.where(inside, values, function.values[0])
     integrals = TransferIntegrals(function, _OPAQUE * max(_PARTS / units, 1.0))  # more than any finite extinction
     exact = _colors(integrals.mean_along(values), units / _PARTS * _fading(_STEPS * _PARTS), counts)

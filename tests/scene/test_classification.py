@@ -106,6 +106,12 @@ def test_noise_and_volumes_that_hardly_show_are_pre_integrated():
     assert tiny.integration.classification == "preintegrated" and "too little" in tiny.chosen_classification.reason
 
 
+def test_steps_longer_than_the_volume_are_pre_integrated():
+    resolved = scene_of(SMOOTH, step=1000.0).resolve()
+    assert resolved.integration.classification == "preintegrated"
+    assert "too little" in resolved.chosen_classification.reason
+
+
 def test_voxels_that_are_not_finite_do_not_count():
     array = volume_of().data.astype(np.float32)
     array[::5, ::3, ::4] = np.nan
