@@ -63,9 +63,8 @@ def device_volume(shared: Shared, resolved: ResolvedScene) -> DeviceVolume:
 class Raycaster:
     """Device state for a scene: volume, tables, distance map, program; ``render`` makes a frame.
 
-    ``lanes``: rays that a work-item marches together (16 on CPU devices, 1 elsewhere). ``skip``: whether rays leap
-    over empty space. ``tile``: pixels (width, height) of a work-item's tile. None of the three
-    changes the picture.
+    ``lanes``: rays that a work-item marches together (16 on CPU devices, 1 elsewhere). ``skip``: whether rays leap over
+    empty space. ``tile``: pixels (width, height) of a work-item's tile. None of the three changes the picture.
     """
 
     held: Sequence[object] = ()
