@@ -115,11 +115,11 @@ class LocalWorkers:
                 self._changed.notify_all()
             return
         self._selector.unregister(each.output)
-        self._processes.remove(each)
         deaths = 0 if each.is_there else each.early_deaths + 1
-        each.end()
-        if not self._is_closing and deaths < MOST_EARLY_DEATHS:
-            with suppress(RenderError):  # then the others go on without it
-                self._begin(deaths)
-        with self._changed:
+        with self._changed:  # whoever waits must not see the moment in which it is not replaced yet
+            self._processes.remove(each)
+            if not self._is_closing and deaths < MOST_EARLY_DEATHS:
+                with suppress(RenderError):  # then the others go on without it
+                    self._begin(deaths)
             self._changed.notify_all()
+        each.end()

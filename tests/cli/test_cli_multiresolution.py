@@ -105,9 +105,9 @@ def test_no_voxel_of_a_store_is_read_that_is_not_in_a_wanted_block(
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("render", "v.zarr", "-o", "a.png", "--set", 'light.0.type="headlight"'),
+        ("render", "v.zarr", "-o", "a.png", "--set", "integration.compositing='maximum'"),
         ("render", "holes.zarr", "-o", "a.png", "--set", "volume.nan=0"),
-        ("explain", "v.zarr", "--set", "clip.0.point=[20,20,20]", "--set", "clip.0.normal=[1,0,0]"),
+        ("explain", "v.zarr", "--set", "noise.0.target='value'", "--set", "noise.0.amplitude=3"),
     ],
 )
 def test_what_is_refused_is_so_before_voxels_are_read(
@@ -145,10 +145,8 @@ def test_a_memory_that_is_named_as_the_least_is_enough(run, refused, stores, dev
         (["integration.quadrature='cells'"], "integration.quadrature: got 'cells' with"),
         (["integration.voxel_precision='uint8'"], "voxel_precision: got 'uint8' with the method"),
         (["integration.compositing='maximum'"], "that calls for projection, expected 'raycast'"),
-        (['light.0.type="headlight"'], "that calls for lighting, expected 'raycast'"),
-        (["isosurface.0.value=100"], "that calls for isosurfaces, expected 'raycast'"),
-        (["clip.0.point=[9,9,9]", "clip.0.normal=[1,0,0]"], "that calls for clipping, expected"),
-        (["depth_cue={}"], "that calls for depth cueing, expected 'raycast'"),
+        (["isosurface.0.value=100", "isosurface.0.refraction=1.2", "isosurface.0.opacity=0.5"],
+         "that calls for refraction, expected 'raycast'"),
         (["noise.0.target='value'", "noise.0.amplitude=3"], "that calls for noise, expected"),
     ],
 )

@@ -168,7 +168,7 @@ def test_a_sphere_of_glass_turns_a_ray_twice():
                      depth_cue=BLACK_TO_WHITE)  # fmt: skip
     from reference.march import _March
 
-    march, seen = _March(s, None, None, None), []
+    march, seen = _March(s, None, None, None, None), []
     restart = march._restart
     march._restart = lambda rays, *how: (restart(rays, *how), seen.append(rays.direction.copy()))
     march.render(np.array([[CENTRE[0] + height, CENTRE[1], -4.0]]), np.array([[0.0, 0.0, 1.0]]))
