@@ -56,14 +56,21 @@ INLINE floatN mix_voxels(floatN a, floatN b, floatN share)
   return select(mixed, b, MASK(share == 1.0f));
 }
 
+/* The first of the eight voxels around `p` in a field of `size`, and the shares of the others along each axis. */
+INLINE intN cell_in_field(int4 size, FieldPlace p, floatN *fx, floatN *fy, floatN *fz)
+{
+  const intN ix = min(TO_INT(p.x), (intN)(size.x - 2)), iy = min(TO_INT(p.y), (intN)(size.y - 2));
+  const intN iz = min(TO_INT(p.z), (intN)(size.z - 2));
+  *fx = p.x - TO_FLOAT(ix), *fy = p.y - TO_FLOAT(iy), *fz = p.z - TO_FLOAT(iz);
+  return (iz * size.y + iy) * size.x + ix;
+}
+
 INLINE floatN linear_in_field(const Scene *scene, int k, FieldPlace p)
 {
   const int4 size = scene->effects->fields[k].size;
-  const intN ix = min(TO_INT(p.x), (intN)(size.x - 2)), iy = min(TO_INT(p.y), (intN)(size.y - 2));
-  const intN iz = min(TO_INT(p.z), (intN)(size.z - 2));
-  const floatN fx = p.x - TO_FLOAT(ix), fy = p.y - TO_FLOAT(iy), fz = p.z - TO_FLOAT(iz);
-  const intN at = (iz * size.y + iy) * size.x + ix;
   __global const float *voxels = scene->fields + scene->effects->fields[k].first_voxel;
+  floatN fx, fy, fz;
+  const intN at = cell_in_field(size, p, &fx, &fy, &fz);
   floatN slices[2];
   _Pragma("unroll 1") for (int z = 0; z < 2; ++z) {
     __global const float *a = voxels + (size_t)z * size.x * size.y, *b = a + size.x;
@@ -80,11 +87,9 @@ INLINE floatN linear_in_field(const Scene *scene, int k, FieldPlace p)
 INLINE Vectors color_in_field(const Scene *scene, int k, FieldPlace p)
 {
   const int4 size = scene->effects->fields[k].size;
-  const intN ix = min(TO_INT(p.x), (intN)(size.x - 2)), iy = min(TO_INT(p.y), (intN)(size.y - 2));
-  const intN iz = min(TO_INT(p.z), (intN)(size.z - 2));
-  const floatN fx = p.x - TO_FLOAT(ix), fy = p.y - TO_FLOAT(iy), fz = p.z - TO_FLOAT(iz);
-  const intN at = (iz * size.y + iy) * size.x + ix;
   __global const float *voxels = scene->fields + scene->effects->fields[k].first_voxel;
+  floatN fx, fy, fz;
+  const intN at = cell_in_field(size, p, &fx, &fy, &fz);
   Vectors sum = {0.0f, 0.0f, 0.0f};
   _Pragma("unroll 1") for (int corner = 0; corner < 8; ++corner) {
     const int x = corner & 1, y = corner >> 1 & 1, z = corner >> 2;

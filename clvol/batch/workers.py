@@ -7,7 +7,6 @@ import os
 import secrets
 import selectors
 import signal
-import subprocess
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -20,7 +19,7 @@ from clvol.batch.job import Picture
 from clvol.batch.results import append
 from clvol.batch.run import STEPS, Options, Outcome
 from clvol.errors import RenderError
-from clvol.opencl.children import child_command, child_environment, end_child
+from clvol.opencl.children import begin_tied_child, child_environment, end_child
 from clvol.temporaries import remove_leftovers
 
 MOST_DEATHS = 3  # of processes that were rendering one picture, until it is given up
@@ -31,20 +30,12 @@ class _Worker:
     """A process. ``begun``: the numbers of pictures whose results it has not told, the one that it renders last."""
 
     def __init__(self, arguments: dict[str, Any], cores: Sequence[int], threads: int) -> None:
-        watched, self._lifeline = os.pipe()
-        request = json.dumps({**arguments, "lifeline": watched, "parent": os.getpid(), "cores": list(cores)})
         environment = child_environment()
         environment.setdefault("POCL_MAX_PTHREAD_COUNT", str(threads))
         try:
-            self.process = subprocess.Popen(
-                child_command(str(_WORKER), request), env=environment, stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE, pass_fds=(watched,), start_new_session=True,
-            )  # fmt: skip
+            self.process, self._lifeline = begin_tied_child(_WORKER, {**arguments, "cores": list(cores)}, environment)
         except OSError as error:
-            os.close(self._lifeline)
             raise RenderError("workers", f"a process cannot be started: {error.strerror}") from None
-        finally:
-            os.close(watched)
         self.cores = cores
         self.begun: list[int] = []
         self._rest = b""

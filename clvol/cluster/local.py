@@ -3,7 +3,6 @@ they die before they have started."""
 
 from __future__ import annotations
 
-import json
 import os
 import selectors
 import subprocess
@@ -13,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from clvol.errors import RenderError
-from clvol.opencl.children import child_command, child_environment, end_child
+from clvol.opencl.children import begin_tied_child, child_environment, end_child
 
 MOST_EARLY_DEATHS = 5  # of processes in a row that end before they are there
 _END_SECONDS = 3.0
@@ -24,18 +23,11 @@ class _Process:
     """``early_deaths``: of processes in its place that ended, one after the other, before they were there."""
 
     def __init__(self, scheduler: str, scratch: str, early_deaths: int) -> None:
-        watched, self._lifeline = os.pipe()
-        request = {"scheduler": scheduler, "scratch": scratch, "lifeline": watched, "parent": os.getpid()}
+        request = {"scheduler": scheduler, "scratch": scratch}
         try:
-            self.process = subprocess.Popen(
-                child_command(str(_PROCESS), json.dumps(request)), env=child_environment(), stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE, pass_fds=(watched,), start_new_session=True,
-            )  # fmt: skip
+            self.process, self._lifeline = begin_tied_child(_PROCESS, request, child_environment())
         except OSError as error:
-            os.close(self._lifeline)
             raise RenderError("--workers", f"processes cannot be started: {error.strerror}") from None
-        finally:
-            os.close(watched)
         assert self.process.stdout is not None
         self.output, self.early_deaths, self.is_there = self.process.stdout, early_deaths, False
 

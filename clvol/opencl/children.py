@@ -213,6 +213,27 @@ def child_environment() -> dict[str, str]:
     return environment
 
 
+def begin_tied_child(
+    script: Path, request: Mapping[str, object], environment: Mapping[str, str]
+) -> tuple[subprocess.Popen[bytes], int]:
+    """Begins a process of ``script`` that ends when this one does, and the end of the pipe whose closing ends it. It is
+    told ``request`` as JSON, with "lifeline" and "parent" for ``end_with_parent``; its standard output is a pipe.
+    OSError if it cannot be started."""
+    watched, lifeline = os.pipe()
+    told = json.dumps({**request, "lifeline": watched, "parent": os.getpid()})
+    try:
+        process = subprocess.Popen(
+            child_command(str(script), told), env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+            pass_fds=(watched,), start_new_session=True,
+        )  # fmt: skip
+    except BaseException:
+        os.close(lifeline)
+        raise
+    finally:
+        os.close(watched)
+    return process, lifeline
+
+
 def end_child(process: subprocess.Popen) -> None:
     """Ends the child, if it is still running, and all processes that its drivers have started."""
     if process.poll() is None:
