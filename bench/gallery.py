@@ -86,6 +86,8 @@ TILES = (
          "boxes, no other light.", "environment", "[environment]"),
     Tile("chest-shadows", "Shadows", "Rays to the light: ribs shade what lies below them.",
          "shadows", '[shadow] method = "rays"'),
+    Tile("cthead-occlusion", "Ambient occlusion", "Sockets and teeth get less of the light from all around.",
+         "ambient occlusion", "[ambient_occlusion]"),
     Tile("heptane-scattering", "Scattering", "Light scatters forward; the smoke's shade glows.",
          "scattering", "[shadow] scattering"),
     Tile("cloud", "Noise and sun", "An ellipsoid that noise stirs and frays, shadows and "

@@ -61,6 +61,10 @@
 #define SHADOWS_VOLUME 2
 #define SHADOWS_HALF_ANGLE 3
 
+/* Switch AMBIENT_OCCLUSION; 0: none (ambient_occlusion.h). */
+#define DARKENS_AMBIENT 1
+#define DARKENS_ALL 2
+
 /* Bits of the switch OPACITY_FACTORS (opacity_factors.h). */
 #define OPACITY_FACTOR_GRADIENT 1
 #define OPACITY_FACTOR_DIRECTIONAL 2

@@ -25,6 +25,7 @@ from clvol.device.light_volume import (
 from clvol.device.local_space import LocalSpace, unit_vector
 from clvol.device.memory import ValueMap
 from clvol.device.noise import device_noise, device_tiles, perturbation
+from clvol.device.occlusion_volume import check_occlusion_fits, occlusion_numbers
 from clvol.device.opacity_factors import factor_rows, layer_places
 from clvol.device.projection import (
     NO_SCORE,
@@ -74,7 +75,7 @@ class EffectState:
                 ("items", np.float32), ("gradients", np.uint32), ("surface_distances", np.uint8),
                 ("constant_distances", np.uint8), ("environment", np.float32),
                 ("light_volume", np.float32), ("noise", np.uint32),
-                ("factors", np.float32), ("fields", np.float32),
+                ("factors", np.float32), ("fields", np.float32), ("occlusion", np.float32),
             )
         }  # fmt: skip
         self.arrays: dict[str, DeviceArray] = none
@@ -94,6 +95,10 @@ class EffectState:
         if self.switches.get("SHADOWS"):
             check_fits(resolved, DeviceLimits.of(context))
             for name, value in shadow_numbers(resolved, padded_size(resolved.volume)).items():
+                self.numbers[0][name] = value
+        if resolved.ambient_occlusion is not None and self.switches.get("AMBIENT_OCCLUSION"):
+            check_occlusion_fits(resolved, DeviceLimits.of(context))
+            for name, value in occlusion_numbers(resolved, padded_size(resolved.volume)).items():
                 self.numbers[0][name] = value
         self.arrays["effects"] = context.upload(self.numbers)
 

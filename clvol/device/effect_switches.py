@@ -10,6 +10,7 @@ from clvol.device.fields import field_switches
 from clvol.device.gradients import gradient_switch
 from clvol.device.light_volume import shadow_switches
 from clvol.device.noise import TARGETS
+from clvol.device.occlusion_volume import occlusion_switch
 from clvol.device.opacity_factors import factor_switches
 from clvol.features import COMPOSITINGS, GRADIENTS, emits, is_lit
 from clvol.features.gradient_storage import UNLIMITED, DeviceLimits
@@ -31,6 +32,7 @@ def effect_switches(
     surfaces = resolved.isosurfaces
     refracts = any(surface.refraction != 1.0 for surface in surfaces)
     factors = resolved.gradient_opacity is not None or resolved.directional_opacity is not None
+    faces = bool(surfaces) and resolved.ambient_occlusion is not None
     decides = factors or has_gradient_layers(resolved)
     switches = {
         "LIGHTING": int(lit),
@@ -47,7 +49,8 @@ def effect_switches(
         "NOISE": _noise(resolved),
         **shadow_switches(resolved),
         **({"GLOW": 1} if resolved.glow is not None else {}),
-        "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides else 0,
+        **occlusion_switch(resolved),
+        "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides or faces else 0,
     }
     if not any(switches.values()):
         return {}

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from weakref import ReferenceType, WeakKeyDictionary, ref
 
 from clvol.features import (
+    ambient_occlusion,
     channels,
     clipping,
     depth_cue,
@@ -47,6 +48,7 @@ NAMES = (
     "shadows",
     "scattering",
     "half-angle slices",
+    "ambient occlusion",
     "isosurfaces",
     "refraction",
     "gradients",
@@ -69,7 +71,7 @@ NAMES = (
 # Each pass analyses the scene as reduced by the passes before it.
 _PASSES = (
     filters, glow, emission, segments, fields, noise, clipping, surfaces, opacity, lighting, shadows, half_angle,
-    depth_cue, gradients,
+    ambient_occlusion, depth_cue, gradients,
 )  # fmt: skip
 
 

@@ -25,6 +25,8 @@ SLICES = {"along-axis": 1, "along-view": 2, "shells": 3, "half-angle": 4}
 ACCUMULATE = {"float32": 0, "half": 1, "uint8": 2}
 # Methods of shadows: SHADOWS.
 SHADOW_METHODS = {"rays": 1, "volume": 2, "half-angle": 3}
+# What ambient occlusion darkens: AMBIENT_OCCLUSION.
+DARKENS = {"ambient": 1, "all": 2}
 # Bits of OPACITY_FACTORS.
 OPACITY_FACTORS = {"gradient": 1, "directional": 2}
 # What layers of a transfer function are stated by: TRANSFER_LAYERS.

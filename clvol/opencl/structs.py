@@ -138,8 +138,8 @@ FIELD = struct(
 
 EFFECTS = struct(
     ("float4", "local_x local_y local_z gradient_x gradient_y gradient_z"),
-    ("float4", "gradient_scale cue_color light_grid noise_reach"),
-    ("int4", "light_size"),
+    ("float4", "gradient_scale cue_color light_grid occlusion_grid noise_reach"),
+    ("int4", "light_size occlusion_size"),
     (FIELD, "fields", MOST_FIELDS),
     (NOISE_TERM, "noise_terms", MOST_NOISE_TERMS),
     ("int", "along_axes"),

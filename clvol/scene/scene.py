@@ -101,6 +101,8 @@ class Scene(SceneTables):
         Light from all around, from a picture of it.
     shadow : Shadow, optional
         Shadows and forward scattering.
+    ambient_occlusion : AmbientOcclusion, optional
+        Less light where matter encloses a place.
     gradient_opacity : GradientOpacity, optional
         Factor on the extinction by gradient magnitude.
     directional_opacity : DirectionalOpacity, optional

@@ -68,6 +68,7 @@ VOCABULARY = {
     "FILTER": FILTERS, "CLASSIFICATION": CLASSIFICATIONS, "GRADIENT": GRADIENTS, "COMPOSITING": COMPOSITINGS,
     "QUADRATURE": QUADRATURES, "STEPPING": STEPPINGS, "SLICES": SLICES,
     "ACCUMULATE": vocabulary.ACCUMULATE, "ORACLE": ORACLES, "SHADOWS": vocabulary.SHADOW_METHODS,
+    "DARKENS": vocabulary.DARKENS,
     "OPACITY_FACTOR": vocabulary.OPACITY_FACTORS, "FIELD": vocabulary.FIELD_ROLES,
     "LAYERS": vocabulary.TRANSFER_LAYERS, "NOISE_TARGET": vocabulary.NOISE_TARGETS,
     "LIGHT": vocabulary.LIGHTS, "CLIP": vocabulary.CLIPS,
@@ -147,7 +148,7 @@ def test_what_has_a_consequence_is_called_for_and_stays(tables, names):
     kept = reduced(resolved)
     for table in ("integration", "clips", "isosurfaces", "fields", "noise", "depth_cue",
                   "gradient_opacity", "directional_opacity", "transfer_layers", "lights",
-                  "shadow", "animation", "gradient"):  # fmt: skip
+                  "shadow", "ambient_occlusion", "animation", "gradient"):  # fmt: skip
         assert getattr(kept, table) == getattr(resolved, table)
 
 

@@ -37,6 +37,9 @@ CALLED = [
      ["lighting", "specular", "shadows", "gradients"]),
     ({"light": [SUN], "shadow": {"scattering": 0.4}},
      ["lighting", "specular", "shadows", "scattering", "gradients"]),
+    ({"ambient_occlusion": {"distance": 3.0}}, ["ambient occlusion"]),
+    ({"ambient_occlusion": {"distance": 3.0}, "isosurface": [{"value": 100.0}]},
+     ["isosurfaces", "gradients", "ambient occlusion"]),
     ({"isosurface": [{"value": 100.0}]}, ["isosurfaces"]),
     ({"isosurface": [{"value": 100.0, "opacity": 0.0, "refraction": 1.5}]},
      ["isosurfaces", "refraction", "gradients"]),
@@ -129,4 +132,7 @@ IDLE = [
     ({"gradient": {"operator": "sobel"}}, "sobel gradients", "nothing needs gradients"),
     ({"light": [SUN], "gradient": {"operator": "sobel"}, "integration": {"filter": "cubic"}},
      "sobel gradients", "the filter 'cubic' has a derivative of its own"),
+    ({"ambient_occlusion": {"intensity": 0.0}}, "ambient occlusion", "the ambient occlusion's intensity is 0"),
+    ({"ambient_occlusion": {}, "integration": {"compositing": "maximum"}},
+     "ambient occlusion", "maximum intensity projection is not lit"),
 ]  # fmt: skip
