@@ -116,6 +116,8 @@ TILES = (
          "is screened.", "channels", "[[channel]], [integration] blend"),
     Tile("vismale-clipped", "Clipping", "By a box and a sphere; faces of the cut are lit.",
          "clipping", "[[clip]]"),
+    Tile("cthead-star", "Clip by a mesh", "Exact to the facet: a star of triangles, read from a file.",
+         "clipping", '[[clip]] type = "mesh"'),
     Tile("chest-blocks", "Lit, clipped blocks", "A ninth of the voxels' memory, spent on what the box leaves.",
          "clipping", '[integration] method = "multiresolution"'),
     Tile("aneurism-depth", "Depth cueing", "Far vessels fade into the page.",

@@ -57,7 +57,7 @@ typedef struct {
   float shadow_step;      /* edges */
   float shadow_depth;     /* optical depth beyond which no light arrives */
   float scattering;       /* share of the light that is scattered, 0 .. 1 */
-  int light_count, surface_count, kept_clips, removed_clips;
+  int light_count, surface_count, kept_clips, removed_clips, mesh_clips;
   int first_light, first_surface, first_clip;                  /* in `items` */
   int diffuse_map_size, specular_map_size, sky_map_size;       /* nodes per side of the maps of the environment, */
   int diffuse_map, specular_map, sky_map;                      /* and where they begin in `environment` */
@@ -86,7 +86,7 @@ typedef struct {
   FIELD(Effects, lowest_sample), FIELD(Effects, highest_sample), FIELD(Effects, shadow_bound), \
   FIELD(Effects, shadow_step), FIELD(Effects, shadow_depth), FIELD(Effects, scattering), \
   FIELD(Effects, light_count), FIELD(Effects, surface_count), FIELD(Effects, kept_clips), \
-  FIELD(Effects, removed_clips), FIELD(Effects, first_light), FIELD(Effects, first_surface), \
+  FIELD(Effects, removed_clips), FIELD(Effects, mesh_clips), FIELD(Effects, first_light), FIELD(Effects, first_surface), \
   FIELD(Effects, first_clip), FIELD(Effects, diffuse_map_size), FIELD(Effects, specular_map_size), \
   FIELD(Effects, sky_map_size), FIELD(Effects, diffuse_map), FIELD(Effects, specular_map), \
   FIELD(Effects, sky_map), FIELD(Effects, gradient_opacity_points), FIELD(Effects, directional_opacity_points), \

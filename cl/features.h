@@ -96,6 +96,7 @@
 #define CLIP_PLANE 0
 #define CLIP_BOX 1
 #define CLIP_SPHERE 2
+#define CLIP_MESH 3
 
 /* How a block's samples arrive (decode_blocks.cl). */
 #define CODEC_RAW 0

@@ -9,6 +9,7 @@ from __future__ import annotations
 from clvol.device.fields import field_switches
 from clvol.device.gradients import gradient_switch
 from clvol.device.light_volume import shadow_switches
+from clvol.device.mesh_clips import mesh_switch
 from clvol.device.noise import TARGETS
 from clvol.device.occlusion_volume import occlusion_switch
 from clvol.device.opacity_factors import factor_switches
@@ -49,6 +50,7 @@ def effect_switches(
         "NOISE": _noise(resolved),
         **shadow_switches(resolved),
         **({"GLOW": 1} if resolved.glow is not None else {}),
+        **mesh_switch(resolved),
         **occlusion_switch(resolved),
         "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides or faces else 0,
     }
@@ -73,6 +75,7 @@ def _projection_switches(resolved: ResolvedScene, seen: bool) -> dict[str, int]:
         "CLIP": int(bool(resolved.clips)),
         "ENVIRONMENT_VISIBLE": int(seen),
         "NOISE": _noise(resolved),
+        **mesh_switch(resolved),
         **field_switches(resolved),
     }
 

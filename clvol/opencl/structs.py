@@ -148,7 +148,7 @@ EFFECTS = struct(
     ("float", "cue_start cue_per_edge cue_strength"),
     ("float", "lowest_value values_per_range attenuation hidden_score lowest_sample highest_sample"),
     ("float", "shadow_bound shadow_step shadow_depth scattering"),
-    ("int", "light_count surface_count kept_clips removed_clips first_light first_surface first_clip"),
+    ("int", "light_count surface_count kept_clips removed_clips mesh_clips first_light first_surface first_clip"),
     ("int", "diffuse_map_size specular_map_size sky_map_size diffuse_map specular_map sky_map"),
     ("int", "gradient_opacity_points directional_opacity_points layer_count layer_rows"),
     ("int", "gradient_opacity_table directional_opacity_table layer_table"),

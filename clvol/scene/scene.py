@@ -84,7 +84,7 @@ class Scene(SceneTables):
     isosurface : sequence of Isosurface
         Surfaces where the volume has a value.
     clip : sequence of Clip
-        Planes, boxes and spheres that cut the volume.
+        Planes, boxes, spheres and closed meshes that cut the volume.
     compression : Compression
         The voxels as codes, which take less memory and are not exact.
     multiresolution : Multiresolution
