@@ -1,5 +1,5 @@
 /* Lights that depend on the angle to their direction: spots, and images that are projected as by a slide projector
- * (Engel and Ertl 2002, section 9, name projected light maps; Segal et al. 1992 have the projection).
+ * (Segal et al. 1992; Engel and Ertl 2002, section 5.4, have both in the light buffer of half-angle slices).
  *
  * In scenes with such a light all lights have LIGHT_ROWS items (clvol/device/aimed_lights.py); those of others are 0:
  *   2  direction (local, of unit length); of a spot in w the edge of its cone, q
@@ -64,7 +64,10 @@ INLINE Vectors aimed_share(const Scene *scene, int item, float kind, Vectors tow
 {
   Vectors share = {1.0f, 1.0f, 1.0f};
   const Vectors along = scaled3(towards, -1.0f);
-  if (kind == LIGHT_SPOT) share.x = share.y = share.z = spot_share(along, scene->items[item + 2], scene->items[item + 3].w);
+  if (kind == LIGHT_SPOT) {
+    share.x = spot_share(along, scene->items[item + 2], scene->items[item + 3].w);
+    share.y = share.z = share.x;
+  }
   if (kind == LIGHT_IMAGE) share = image_share(scene, item, along);
   return share;
 }
