@@ -271,14 +271,16 @@ INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction
       const SegmentValues v = {value, value};
 #endif
       count_lanes(&counted[COUNT_SHADOW_SAMPLES], active);
-      const floatN added = h * length * extinction_along(scene, ray, t0, t0 + length, v, direction, active, counted);
 #if FADES_WITH_DISTANCE
+      const floatN added = h * length * extinction_along(scene, ray, t0, t0 + length, v, direction, active, counted);
 #if ISOSURFACES
       depth = depth_of_surfaces(scene, &walk, depth, h * (t0 + length), active, fading, counted);
 #endif
       fade_depth(fading, added, ray->entry_depth + h * (t0 + 0.5f * length), active);
-#endif
       depth += added;
+#else
+      depth += h * length * extinction_along(scene, ray, t0, t0 + length, v, direction, active, counted);
+#endif
       i -= active;
     }
   }
@@ -314,7 +316,7 @@ INLINE floatN depth_towards(const Scene *scene, Vectors place, Vectors direction
 /* How far it is to a light, in edges, from a local place. */
 INLINE floatN distance_to_light(float4 light, Vectors here)
 {
-  if (light.w != LIGHT_POINT) return (floatN)INFINITY;
+  if (!light_has_place(light)) return (floatN)INFINITY;
   const Vectors way = {light.x - here.x, light.y - here.y, light.z - here.z};
   return sqrt(dot3(way, way));
 }
