@@ -132,6 +132,8 @@ TILES = (
          "isosurfaces", '[integration] filter = "linear"'),
     Tile("ellipsoid-catmull-rom", "Catmull-Rom filter", "The same voxels; the slope is continuous.",
          "catmull-rom filter", '[integration] filter = "catmull-rom"'),
+    Tile("ellipsoid-mitchell", "Mitchell-Netravali filter", "A kernel between blurring and ringing.",
+         "mitchell filter", '[integration] filter = "mitchell"'),
 )  # fmt: skip
 
 

@@ -10,6 +10,11 @@
 #define FILTER_LINEAR 1
 #define FILTER_CUBIC 2
 #define FILTER_CATMULL_ROM 3
+#define FILTER_MITCHELL 4
+#define FILTER_LANCZOS2 5
+#define FILTER_LANCZOS3 6
+#define FILTER_WINDOWED_SINC 7
+#define FILTER_TABLE 8
 
 /* Switch CLASSIFICATION (classify.h). */
 #define CLASSIFICATION_PRE 0
@@ -117,5 +122,6 @@
 #define MOST_NOISE_TERMS 4
 #define MOST_HALVES 16
 #define MOST_LEVELS 5
+#define MOST_FILTER_TERMS 9
 
 #endif

@@ -15,7 +15,7 @@ import numpy as np
 from clvol.store.codecs.coded_blocks import MOST_STAGES
 
 # Lengths of arrays in structs, as in cl/features.h: how many of each a scene may have.
-MOST_FIELDS, MOST_NOISE_TERMS, MOST_HALVES = 8, 4, 16
+MOST_FIELDS, MOST_NOISE_TERMS, MOST_HALVES, MOST_FILTER_TERMS = 8, 4, 16, 9
 
 _TYPES = {
     "float": np.dtype("f4"), "float2": np.dtype(("f4", 2)), "float4": np.dtype(("f4", 4)),
@@ -73,6 +73,7 @@ def view_dtype(voxel_bits: int) -> np.dtype:
     return struct(
         ("float4", "plane_origin plane_du plane_dv ray_forward ray_du ray_dv upper"),
         ("float4", "shows_above shows_below opacity_terms opacity_more"),
+        ("float4", "filter_terms", MOST_FILTER_TERMS),
         ("int4", "size cells"),
         ("float4", "owned_from owned_to"),
         ("int4", "stored_from stored_to"),

@@ -55,7 +55,7 @@ from clvol.features import (
 )
 from clvol.integrators.registry import check_scene
 from clvol.opencl.kernels_path import kernel_folder
-from clvol.opencl.structs import MOST_FIELDS, MOST_HALVES, MOST_NOISE_TERMS
+from clvol.opencl.structs import MOST_FIELDS, MOST_FILTER_TERMS, MOST_HALVES, MOST_NOISE_TERMS
 from clvol.scene.pyramid import MOST_LEVELS
 
 COUNTED = {
@@ -73,7 +73,8 @@ VOCABULARY = {
     "LAYERS": vocabulary.TRANSFER_LAYERS, "NOISE_TARGET": vocabulary.NOISE_TARGETS,
     "LIGHT": vocabulary.LIGHTS, "CLIP": vocabulary.CLIPS,
     "CODEC": vocabulary.BLOCK_CODECS, "CELL": vocabulary.CELLS, "CODE": {"dropped": vocabulary.CODE_DROPPED},
-    "MOST": {"fields": MOST_FIELDS, "noise-terms": MOST_NOISE_TERMS, "halves": MOST_HALVES, "levels": MOST_LEVELS},
+    "MOST": {"fields": MOST_FIELDS, "noise-terms": MOST_NOISE_TERMS, "halves": MOST_HALVES, "levels": MOST_LEVELS,
+             "filter-terms": MOST_FILTER_TERMS},
 }  # fmt: skip
 
 

@@ -63,6 +63,8 @@ CALLED = [
     ({"depth_cue": {}}, ["depth cueing"]),
     ({"integration": {"filter": "nearest"}}, ["nearest filter"]),
     ({"integration": {"filter": "catmull-rom"}}, ["catmull-rom filter"]),
+    ({"integration": {"filter": "lanczos3"}}, ["lanczos3 filter"]),
+    ({"integration": {"filter": "table", "filter_table": [1.0, 0.5, 0.1, 0.0]}}, ["table filter"]),
     ({"integration": {"filter": "cubic", "prefilter": True}}, ["cubic filter", "prefilter"]),
 ]  # fmt: skip
 
