@@ -39,7 +39,7 @@ class RefractiveIndex:
 
     @property
     def shape(self) -> TransferFunction | None:
-        """A function with opacity exactly where the index changes: there rays cannot leap. None where it is constant."""
+        """A function with opacity exactly where the index changes: there rays cannot leap. None for a constant."""
         changes = np.flatnonzero(np.diff(self.indices))
         if not changes.size:
             return None

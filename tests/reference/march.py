@@ -224,8 +224,8 @@ class _March:
         return bends
 
     def _turn(self, rays, n, t, way) -> np.ndarray:
-        """Turns the rays ``n`` at ``t``, after which they go ``way`` as if the gradient of the index there stayed; which of
-        them turn. The angle to that gradient, whose tangent's half shrinks by exp(-|g| way / n), says how far."""
+        """Turns the rays ``n`` at ``t``, after which they go ``way`` as if the gradient of the index there stayed;
+        which of them turn. The angle to that gradient, whose half's tangent shrinks by exp(-|g| way / n), says so."""
         at = rays.at(n, t)
         value, gradient = self.medium.value(at), self.medium.gradient(at)
         gradient = np.where(np.isfinite(gradient).all(axis=1)[:, None], gradient, 0.0)

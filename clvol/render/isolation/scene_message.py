@@ -29,8 +29,8 @@ from clvol.volume.volume import Volume
 _TYPES: dict[str, type] = {
     each.__name__: each
     for each in (
-        ChosenClassification, Colors, Glow, Grid, OpacityFactor, PixelLattice, PixelList, RefractiveIndex, ResolvedChannel,
-        ResolvedField, ResolvedScene, StepTimes, TransferFunction, TransferLayer, ValueAxis,
+        ChosenClassification, Colors, Glow, Grid, OpacityFactor, PixelLattice, PixelList, RefractiveIndex,
+        ResolvedChannel, ResolvedField, ResolvedScene, StepTimes, TransferFunction, TransferLayer, ValueAxis,
     )  # fmt: skip
 }
 

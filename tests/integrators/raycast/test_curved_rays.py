@@ -112,13 +112,13 @@ def path_height(context, step, y0=16.0):
 
 
 def test_a_ray_through_a_linear_gradient_is_a_parabola(context):
-    """With n^2 = 1 + 0.4 y / 64, rays are parabolas: y = y0 + g z^2 / (4 n0^2), g = 0.4 / 64 and n0 where the ray enters
-    along z. Its mean height, weighed by the length of the path, is what the colour shows."""
+    """With n^2 = 1 + g y, rays are parabolas: y = y0 + g z^2 / (4 n0^2), n0 where the ray enters along z. Its mean
+    height, weighed by the length of the path, is what the colour shows."""
     y0, g = 16.0, 0.4 / 64
-    n0 = 1.0 + g * y0
+    square = 1.0 + g * y0  # of n0
     z = np.linspace(0.0, 128.0, 20001)
-    y = y0 + g * z**2 / (4.0 * n0)
-    length = np.sqrt(1.0 + (g * z / (2.0 * n0)) ** 2)
+    y = y0 + g * z**2 / (4.0 * square)
+    length = np.sqrt(1.0 + (g * z / (2.0 * square)) ** 2)
     depth = np.cumsum(length) * (z[1] - z[0]) * -np.log(1 - 1e-3)
     weight = length * np.exp(-depth)
     expected = np.sum(y * weight) / np.sum(weight) / 64
@@ -152,7 +152,8 @@ def test_what_is_not_a_number_bends_nothing(context):
 def test_an_environment_behind_is_seen_along_the_last_direction(context, tmp_path):
     import OpenEXR
 
-    v, u = np.meshgrid((np.arange(24) + 0.5) / 24 * np.pi, ((np.arange(48) + 0.5) / 48 - 0.5) * 2 * np.pi, indexing="ij")
+    rows, columns = (np.arange(24) + 0.5) / 24 * np.pi, ((np.arange(48) + 0.5) / 48 - 0.5) * 2 * np.pi
+    v, u = np.meshgrid(rows, columns, indexing="ij")
     x, y, z = np.sin(v) * np.sin(u), np.cos(v), -np.sin(v) * np.cos(u)
     rgb = np.stack([1 + 0.6 * x, 0.8 + 0.5 * y, 0.5 + 0.4 * z], -1).astype(np.float32)
     OpenEXR.File({"type": OpenEXR.scanlineimage}, {"RGB": rgb}).write(str(tmp_path / "sky.exr"))
@@ -186,7 +187,9 @@ def test_what_is_no_index_is_refused(points, where):
         Scene(volume=Volume(blobs(SHAPE)), transfer_function=HAZE, refraction={"points": points})
 
 
-@pytest.mark.parametrize("indices", [[1, 1.2, 1.2, 1.5, 1.5], [1, 1.1, 1.2, 1.1, 1.1], [1, 1, 1, 1, 2], [2, 2, 2, 2, 2]])
+@pytest.mark.parametrize("indices", [
+    [1, 1.2, 1.2, 1.5, 1.5], [1, 1.1, 1.2, 1.1, 1.1], [1, 1, 1, 1, 2], [2, 2, 2, 2, 2],
+])  # fmt: skip
 def test_the_shape_of_an_index_has_opacity_where_it_changes(indices):
     index = RefractiveIndex(np.arange(5.0), np.array(indices, float))
     at = np.linspace(-1, 5, 601) + 1e-9
