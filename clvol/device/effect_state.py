@@ -173,6 +173,12 @@ class EffectState:
         if resolved.integration.compositing != "average":
             self.arrays["factors"] = self.context.upload(score_bounds(volume, resolved, moved))
 
+    def update_projection(self, resolved: ResolvedScene, volume: ResidentVolume) -> None:
+        """Bounds of the values of ``volume``, of which other parts are resident now."""
+        self.numbers = self.numbers.copy()
+        self._add_projection(resolved, volume)
+        self.arrays["effects"] = self.context.upload(self.numbers)
+
     def set_hidden(self, score: float) -> None:
         """Samples of at most this score show nothing."""
         self.numbers["hidden_score"] = score

@@ -34,7 +34,7 @@ _KEYS = {
 }
 _EFFECTS = PLAIN | {
     "clipping", "lighting", "specular", "environment", "environment background", "gradients", "depth cueing",
-    "isosurfaces",
+    "isosurfaces", "projection",
 }  # fmt: skip
 _BUDGETS = 2  # volumes and budgets whose blocks stay resident: they hold all the memory
 

@@ -4,11 +4,15 @@ on the wrong side of them."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from clvol.features import called_for, reduced_for_frames
 from clvol.integrators.multiresolution.clipped_blocks import kept_shares, removed_blocks
+from clvol.integrators.multiresolution.projection_errors import projected_colors, projection_errors
 from clvol.integrators.multiresolution.selection import SourceErrors, source_errors
+from clvol.integrators.multiresolution.visible_error import ShownColors
 from clvol.scene.clip import Clip
 from clvol.scene.isosurface import Isosurface
 from clvol.scene.resolve import ResolvedScene
@@ -20,14 +24,41 @@ from clvol.volume.grid import Grid
 # What an error beside a block counts for: of its voxels one layer has a share in the gradients there.
 _BESIDE = 1.0 / 16.0
 
-EffectsOnBlocks = tuple[tuple[Clip, ...], bool, tuple[Isosurface, ...]]
+
+@dataclass(frozen=True)
+class EffectsOnBlocks:
+    """What of a scene's effects matters to the choice of blocks: its clips, whether anything needs gradients, its
+    surfaces, and its compositing."""
+
+    clips: tuple[Clip, ...] = ()
+    needs_gradients: bool = False
+    surfaces: tuple[Isosurface, ...] = ()
+    compositing: str = "over"
 
 
 def effects_on_blocks(resolved: ResolvedScene) -> EffectsOnBlocks:
-    """What of a scene's effects matters to the choice of blocks: its clips, whether anything needs gradients, and its
-    surfaces."""
     reduced = reduced_for_frames(resolved)
-    return reduced.clips, "gradients" in called_for(resolved), reduced.isosurfaces
+    return EffectsOnBlocks(
+        reduced.clips, "gradients" in called_for(resolved), reduced.isosurfaces, reduced.integration.compositing
+    )
+
+
+def function_errors(
+    source: BlockSource, function: TransferFunction, background: np.ndarray, effects: EffectsOnBlocks
+) -> SourceErrors:
+    """The errors of ``source`` under ``function`` over ``background`` (linear [3]), by the scene's compositing."""
+    if effects.compositing == "over":
+        return source_errors(source, function, background)
+    return projection_errors(source, function, background, effects.compositing)
+
+
+def shown_colors(
+    source: BlockSource, function: TransferFunction, background: np.ndarray, effects: EffectsOnBlocks
+) -> ShownColors:
+    """What is shown of one value all through a block."""
+    if effects.compositing == "over":
+        return ShownColors(function, source.blocks.edge * source.grid.smallest_edge, background)
+    return projected_colors(function, background)
 
 
 def scene_errors(
@@ -35,8 +66,8 @@ def scene_errors(
 ) -> SourceErrors:
     """``known``, the errors of ``source`` under the transfer function alone over ``background`` (linear [3]), with the
     ``effects`` of a scene."""
-    if effects[2]:
-        known = _with_surfaces(source, known, effects[2], background)
+    if effects.surfaces:
+        known = _with_surfaces(source, known, effects.surfaces, background)
     return with_effects(known, effects, source.grid, source.blocks)
 
 
@@ -66,7 +97,7 @@ def _with_surfaces(
 
 def with_effects(known: SourceErrors, effects: EffectsOnBlocks, grid: Grid, blocks: BlockGrid) -> SourceErrors:
     """``known``, errors of what shows, with clips and gradients of ``effects``, over ``blocks`` of ``grid``."""
-    clips, needs_gradients, _ = effects
+    clips, needs_gradients = effects.clips, effects.needs_gradients
     errors, dropped, transmittances = known.errors, known.dropped, known.transmittances
     if needs_gradients and dropped.any():
         beside = dropped & _largest_around(~dropped, blocks)
