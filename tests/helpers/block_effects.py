@@ -22,6 +22,8 @@ CLIPS = [
 ]
 LIT = {"light": list(LIGHTS), "material": MATERIAL, "gradient": {"storage": "on-the-fly"}}
 CUE = {"depth_cue": {"start": 60.0, "end": 130.0, "strength": 0.7, "color": [0.1, 0.3, 0.5]}}
+SPOTS = [{"type": "spot", "position": [10.0, -60.0, -40.0], "direction": [0.2, 1.0, 0.8], "cone_degrees": 20.0 + k,
+          "penumbra": 0.7, "intensity": 1.0 + k} for k in range(2)]  # fmt: skip
 ALL = {"clip": CLIPS, **LIT, **CUE}
 SURFACES = {
     "isosurface": [

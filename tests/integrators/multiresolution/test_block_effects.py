@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.block_effects import ALL, CLIPS, LIT, SHAPE, SURFACES, rendered, scene, smooth, twin
+from helpers.block_effects import ALL, CLIPS, LIT, SHAPE, SPOTS, SURFACES, rendered, scene, smooth, twin
 from helpers.block_scenes import SHOWN, block_scene, noise, picture_of, random_levels, twin_of
 from helpers.effect_scenes import LIGHTS
 from helpers.small_scenes import waves
@@ -39,10 +39,12 @@ def test_pictures_are_the_twins(context, classification, tables):
     assert expected[..., 3].max() > 0.3
 
 
-def test_each_light_counts(context):
-    """Two scenes of different light are not the same picture, and neither is the unlit one."""
+@pytest.mark.parametrize("lights", [LIGHTS[:2], pytest.param(SPOTS, marks=pytest.mark.slow)], ids=["", "spots"])
+def test_each_light_counts(context, lights):
+    """Two scenes of different light are not the same picture, and neither is the unlit one. (Spots compile a program
+    of their own.)"""
     volume, levels = smooth(), random_levels(BlockGrid(SHAPE), 5)
-    lit = [scene(volume, **{**ALL, "light": [light]}) for light in LIGHTS[:2]]
+    lit = [scene(volume, **{**ALL, "light": [light]}) for light in lights]
     pictures = [rendered(context, each, levels).rgba for each in lit]
     assert np.abs(pictures[0] - pictures[1]).max() > 0.05
     for each, picture in zip(lit, pictures):
