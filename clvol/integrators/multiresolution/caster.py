@@ -99,7 +99,6 @@ class BlockCaster(Raycaster):
         warp = self.nodes.warp
         self.warp = self.context.upload(np.zeros(2, np.float32) if warp is None else warp)
         self._set_switches()
-        self.light_volume_samples = 0
         self.without_surfaces = None
         self.set_resident()
 
@@ -139,6 +138,9 @@ class BlockCaster(Raycaster):
             self.shown = self.shown | self._surface_cells()
         self.visible_share = float(self.shown.mean())
         self.march.find_empty_space(self, self.shown)
+        self.light_volume_samples = 0
+        if self._casts_shadows:
+            self._build_shadows()
         self.march.scene_changed(self)
 
     def _projected_cells(self) -> np.ndarray:

@@ -34,7 +34,7 @@ _KEYS = {
 }
 _EFFECTS = PLAIN | {
     "clipping", "lighting", "specular", "spot lights", "image lights", "environment", "environment background",
-    "gradients", "depth cueing", "isosurfaces", "projection",
+    "gradients", "depth cueing", "isosurfaces", "projection", "shadows", "scattering",
 }  # fmt: skip
 _BUDGETS = 2  # volumes and budgets whose blocks stay resident: they hold all the memory
 
@@ -63,7 +63,20 @@ class Multiresolution:
             refuse_effects(resolved, "multiresolution.stepping", "pyramid", "limited", PLAIN)
         refuse_effects(resolved, "integration.method", self.name, "raycast", _EFFECTS)
         self._check_gradients(resolved)
+        self._check_shadows(resolved)
         refuse_quadrature(resolved)
+
+    def _check_shadows(self, resolved: ResolvedScene) -> None:
+        if "shadows" not in called_for(resolved) or resolved.shadow is None:
+            return
+        if resolved.shadow.method == "rays":
+            where = f"{resolved.origin}: shadow.method"
+            what = "got 'rays' with the method 'multiresolution', which casts none from samples of blocks"
+            raise SceneError(where, what, "'volume', or the method 'raycast'")
+        if resolved.compression.decode == "resident":
+            where = f"{resolved.origin}: compression.decode"
+            what = "got 'resident' in a scene with shadows, whose rays pass blocks of all tiles at once"
+            raise SceneError(where, what, "'auto', or a scene without shadows")
 
     def _check_gradients(self, resolved: ResolvedScene) -> None:
         got = resolved.gradient.storage
@@ -122,6 +135,8 @@ class Multiresolution:
             programs["tile_rays.cl"] = switches
         if resolved.image.refines:
             programs["listed_rays.cl"] = switches
+        if switches.get("SHADOWS"):
+            programs["light_volume.cl"] = switches
         return programs
 
     def sources(self, resolved: ResolvedScene) -> tuple[Sequence[str], bytes]:

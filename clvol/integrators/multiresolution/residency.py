@@ -88,6 +88,7 @@ class Residency:
         self.selection = select_blocks(
             self.source, function, resolved.background, camera, resolved.image,
             self.blocks.sample_bytes, occlusion=settings.occlusion, known=known,
+            least_share=effects.least_share,
         )  # fmt: skip
         self._request = request
         if wait:

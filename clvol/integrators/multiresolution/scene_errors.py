@@ -23,24 +23,33 @@ from clvol.volume.grid import Grid
 
 # What an error beside a block counts for: of its voxels one layer has a share in the gradients there.
 _BESIDE = 1.0 / 16.0
+# What an error counts for that nobody sees, beside one in the middle of the picture, where it may cast a shadow.
+_OF_SHADOWS = 1.0 / 64.0
 
 
 @dataclass(frozen=True)
 class EffectsOnBlocks:
     """What of a scene's effects matters to the choice of blocks: its clips, whether anything needs gradients, its
-    surfaces, and its compositing."""
+    surfaces, its compositing, and whether there are shadows, which what is not seen casts, too."""
 
     clips: tuple[Clip, ...] = ()
     needs_gradients: bool = False
     surfaces: tuple[Isosurface, ...] = ()
     compositing: str = "over"
+    casts_shadows: bool = False
+
+    @property
+    def least_share(self) -> float:
+        """As in ``select_blocks``."""
+        return _OF_SHADOWS if self.casts_shadows else 0.0
 
 
 def effects_on_blocks(resolved: ResolvedScene) -> EffectsOnBlocks:
     reduced = reduced_for_frames(resolved)
     return EffectsOnBlocks(
-        reduced.clips, "gradients" in called_for(resolved), reduced.isosurfaces, reduced.integration.compositing
-    )
+        reduced.clips, "gradients" in called_for(resolved), reduced.isosurfaces, reduced.integration.compositing,
+        reduced.shadow is not None,
+    )  # fmt: skip
 
 
 def function_errors(
