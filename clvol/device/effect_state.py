@@ -143,7 +143,7 @@ class EffectState:
             rows = glow_rows(resolved.glow, volume.values, reachable(resolved), self.space.unit)
             numbers["glow_points"], numbers["glow_table"] = rows.shape[1], place(rows)
         if resolved.fields:
-            self.fields = SceneFields(self.context, resolved, volume.cells, place, numbers)
+            self.fields = SceneFields(self.context, resolved, volume.cells, place, numbers, volume.cell_layout)
             self.arrays["fields"] = self.fields.voxels
         if any(table.size for table in tables):
             self.arrays["factors"] = self.context.upload(np.concatenate(tables))

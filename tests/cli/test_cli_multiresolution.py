@@ -105,7 +105,7 @@ def test_no_voxel_of_a_store_is_read_that_is_not_in_a_wanted_block(
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("render", "v.zarr", "-o", "a.png", "--set", "isosurface.0.value=100", "--set", "isosurface.0.refraction=1.2"),
+        ("render", "v.zarr", "-o", "a.png", "--set", "integration.filter='cubic'"),
         ("render", "holes.zarr", "-o", "a.png", "--set", "volume.nan=0"),
         ("explain", "v.zarr", "--set", "noise.0.target='value'", "--set", "noise.0.amplitude=3"),
     ],

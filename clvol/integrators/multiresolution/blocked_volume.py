@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from clvol.device.arguments import Arguments, block_arguments, view_argument
+from clvol.device.fields import CellLayout
 from clvol.device.volume import ResidentVolume
 from clvol.features import CLASSIFICATIONS, FILTERS
 from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
@@ -57,6 +58,11 @@ class BlockedVolume(ResidentVolume):
         if self._doubled:
             self.cells = -(-nx // 2), -(-ny // 2), -(-nz // 2)
         self._bounds: tuple[np.ndarray, np.ndarray] | None = None
+
+    @property
+    def cell_layout(self) -> CellLayout:
+        """As in ``ResidentVolume``: blocks begin half a voxel before the first one's centre."""
+        return CellLayout(1 << self.cell_shift, -0.5)
 
     @property
     def _fine_cells(self) -> tuple[int, int, int]:

@@ -136,6 +136,8 @@ class BlockCaster(Raycaster):
         self.shown = self.shown_cells
         if self.resolved.isosurfaces:
             self.shown = self.shown | self._surface_cells()
+        if self.effects.switches and (fields := self.effects.fields):
+            self.shown = (self.shown | fields.shown) & fields.kept
         self.visible_share = float(self.shown.mean())
         self.march.find_empty_space(self, self.shown)
         self.light_volume_samples = 0

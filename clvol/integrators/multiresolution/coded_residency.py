@@ -13,6 +13,7 @@ from clvol.errors import SceneError
 from clvol.integrators.multiresolution.choice_selection import Chosen, select_choices
 from clvol.integrators.multiresolution.code_choices import Choices, choices_of
 from clvol.integrators.multiresolution.coded_source import CodedSource
+from clvol.integrators.multiresolution.residency import memory_of_blocks
 from clvol.integrators.multiresolution.resident_codes import ResidentCodes, Wanted
 from clvol.integrators.multiresolution.scene_errors import (
     EffectsOnBlocks,
@@ -46,7 +47,7 @@ class CodedResidency:
 
     def __init__(self, context: DeviceContext, source: CodedSource, resolved: ResolvedScene) -> None:
         self.source, self._origin = source, resolved.origin
-        self.memory_bytes = resolved.multiresolution.memory_bytes
+        self.memory_bytes = memory_of_blocks(resolved)
         self.choices: Choices = choices_of(context, source, self.memory_bytes // _BATCH_SHARE)
         self.blocks = ResidentCodes(context, source, self.memory_bytes)
         self.chosen: Chosen | None = None

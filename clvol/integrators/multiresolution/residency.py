@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from clvol.device.fields import field_bytes
 from clvol.errors import SceneError
+from clvol.features import reduced_for_frames
 from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
 from clvol.integrators.multiresolution.scene_errors import (
     EffectsOnBlocks,
@@ -30,6 +32,11 @@ def block_source(volume: Volume) -> BlockSource:
     return VolumeBlocks(volume) if found is None else found
 
 
+def memory_of_blocks(resolved: ResolvedScene) -> int:
+    """Bytes of ``multiresolution.memory`` that fields leave for blocks."""
+    return resolved.multiresolution.memory_bytes - field_bytes(reduced_for_frames(resolved))
+
+
 class Residency:
     """The blocks of one volume within one budget.
 
@@ -39,7 +46,7 @@ class Residency:
 
     def __init__(self, context: DeviceContext, resolved: ResolvedScene) -> None:
         self.source = block_source(resolved.volume)
-        memory = resolved.multiresolution.memory_bytes
+        memory = memory_of_blocks(resolved)
         try:
             self.blocks = DeviceBlocks(context, self.source, memory)
         except SceneError as error:

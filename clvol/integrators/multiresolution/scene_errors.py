@@ -8,12 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clvol.device.fields import kept_blocks
 from clvol.features import called_for, reduced_for_frames
-from clvol.integrators.multiresolution.clipped_blocks import kept_shares, removed_blocks
+from clvol.integrators.multiresolution.clipped_blocks import MARGIN, kept_shares, removed_blocks
 from clvol.integrators.multiresolution.projection_errors import projected_colors, projection_errors
 from clvol.integrators.multiresolution.selection import SourceErrors, source_errors
 from clvol.integrators.multiresolution.visible_error import ShownColors
 from clvol.scene.clip import Clip
+from clvol.scene.field import ResolvedField
 from clvol.scene.isosurface import Isosurface
 from clvol.scene.resolve import ResolvedScene
 from clvol.store.geometry import BlockGrid
@@ -30,13 +32,14 @@ _OF_SHADOWS = 1.0 / 64.0
 @dataclass(frozen=True)
 class EffectsOnBlocks:
     """What of a scene's effects matters to the choice of blocks: its clips, whether anything needs gradients, its
-    surfaces, its compositing, and whether there are shadows, which what is not seen casts, too."""
+    surfaces, its compositing, whether there are shadows, which what is not seen casts, too, and its masks."""
 
     clips: tuple[Clip, ...] = ()
     needs_gradients: bool = False
     surfaces: tuple[Isosurface, ...] = ()
     compositing: str = "over"
     casts_shadows: bool = False
+    masks: tuple[ResolvedField, ...] = ()
 
     @property
     def least_share(self) -> float:
@@ -48,7 +51,7 @@ def effects_on_blocks(resolved: ResolvedScene) -> EffectsOnBlocks:
     reduced = reduced_for_frames(resolved)
     return EffectsOnBlocks(
         reduced.clips, "gradients" in called_for(resolved), reduced.isosurfaces, reduced.integration.compositing,
-        reduced.shadow is not None,
+        reduced.shadow is not None, tuple(field for field in reduced.fields if field.role == "mask"),
     )  # fmt: skip
 
 
@@ -105,7 +108,7 @@ def _with_surfaces(
 
 
 def with_effects(known: SourceErrors, effects: EffectsOnBlocks, grid: Grid, blocks: BlockGrid) -> SourceErrors:
-    """``known``, errors of what shows, with clips and gradients of ``effects``, over ``blocks`` of ``grid``."""
+    """``known``, errors of what shows, with clips, masks and gradients of ``effects``, over ``blocks`` of ``grid``."""
     clips, needs_gradients = effects.clips, effects.needs_gradients
     errors, dropped, transmittances = known.errors, known.dropped, known.transmittances
     if needs_gradients and dropped.any():
@@ -118,6 +121,11 @@ def with_effects(known: SourceErrors, effects: EffectsOnBlocks, grid: Grid, bloc
         removed = removed_blocks(clips, grid, blocks)
         shares = kept_shares(clips, grid, blocks, ~removed & (transmittances < 1.0))
         transmittances = np.where(removed, np.float32(1.0), transmittances**shares)
+        errors = np.where(removed, np.float32(0.0), errors)
+        dropped = dropped | removed
+    if effects.masks:
+        removed = ~kept_blocks(effects.masks, grid, blocks.counts, blocks.edge, MARGIN).ravel()
+        transmittances = np.where(removed, np.float32(1.0), transmittances)
         errors = np.where(removed, np.float32(0.0), errors)
         dropped = dropped | removed
     return SourceErrors(errors, dropped, transmittances)
