@@ -111,7 +111,7 @@ def test_fields_take_their_bytes_from_the_blocks(context):
     engine = MultiresolutionEngine(context, resolved)
     assert engine.residency.blocks.device_bytes + field_bytes(resolved) <= 8 * 2**20
     large = Volume(np.random.default_rng(1).random((64, 64, 64)).astype(np.float32))
-    with pytest.raises(SceneError, match="multiresolution.memory: got 1 MiB, of which the voxels of fields take 1.0 MiB"):
+    with pytest.raises(SceneError, match="memory: got 1 MiB, of which the voxels of fields take 1.0 MiB"):
         tight = {"multiresolution": {"memory": "1 MiB"}}
         check_scene(scene(smooth(), field=[{"file": large, **MASK, "threshold": 0.5}], **tight))
 
