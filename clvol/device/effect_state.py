@@ -152,7 +152,7 @@ class EffectState:
             diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
             numbers["longest_path"] = LONGEST_PATH * diagonal / self.space.unit
         if resolved.fields:
-            self.fields = SceneFields(self.context, resolved, volume.cells, place, numbers)
+            self.fields = SceneFields(self.context, resolved, volume.cells, place, numbers, volume.cell_layout)
             self.arrays["fields"] = self.fields.voxels
         if any(table.size for table in tables):
             self.arrays["factors"] = self.context.upload(np.concatenate(tables))
@@ -189,6 +189,12 @@ class EffectState:
         numbers["hidden_score"] = NO_SCORE
         if resolved.integration.compositing != "average":
             self.arrays["factors"] = self.context.upload(score_bounds(volume, resolved, moved))
+
+    def update_projection(self, resolved: ResolvedScene, volume: ResidentVolume) -> None:
+        """Bounds of the values of ``volume``, of which other parts are resident now."""
+        self.numbers = self.numbers.copy()
+        self._add_projection(resolved, volume)
+        self.arrays["effects"] = self.context.upload(self.numbers)
 
     def set_hidden(self, score: float) -> None:
         """Samples of at most this score show nothing."""
