@@ -32,6 +32,7 @@ _NOT_IN_PARTS = {
     "AMBIENT_OCCLUSION": ("ambient_occlusion", "and matter in one brick takes light from another"),
     "ENVIRONMENT_VISIBLE": ("environment.visible", "behind which all others lie"),
     "REFRACTION": ("isosurface.refraction", "behind which rays go on through other bricks"),
+    "CURVED_RAYS": ("refraction", "and rays bend from one brick to another"),
     "NOISE": ("noise", "and it moves places from one brick to another"),
 }
 

@@ -35,6 +35,7 @@ def effect_switches(
     refracts = any(surface.refraction != 1.0 for surface in surfaces)
     factors = resolved.gradient_opacity is not None or resolved.directional_opacity is not None
     faces = bool(surfaces) and resolved.ambient_occlusion is not None
+    curves = resolved.refraction is not None
     decides = factors or has_gradient_layers(resolved)
     switches = {
         "LIGHTING": int(lit),
@@ -54,13 +55,14 @@ def effect_switches(
         **({"GLOW": 1} if resolved.glow is not None else {}),
         **mesh_switch(resolved),
         **occlusion_switch(resolved),
-        "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides or faces else 0,
+        **({"CURVED_RAYS": 1} if curves else {}),
+        "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides or faces or curves else 0,
     }
     if not any(switches.values()):
         return {}
     # Opacities of whole segments are enough where no effect cuts segments or changes their extinction.
     changed = decides or surfaces or resolved.fields or resolved.integration.classification == "pre"
-    changed = changed or resolved.glow is not None
+    changed = changed or resolved.glow is not None or curves
     return {
         "EFFECTS": 1,
         "TRANSLUCENT": int(is_translucent(resolved)),

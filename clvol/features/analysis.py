@@ -23,6 +23,7 @@ from clvol.features import (
     lighting,
     noise,
     opacity,
+    refraction,
     segments,
     shadows,
     surfaces,
@@ -58,6 +59,7 @@ NAMES = (
     "ambient occlusion",
     "isosurfaces",
     "refraction",
+    "continuous refraction",
     "gradients",
     "sobel gradients",
     "precomputed gradients",
@@ -77,8 +79,8 @@ NAMES = (
 )
 # Each pass analyses the scene as reduced by the passes before it.
 _PASSES = (
-    filters, glow, emission, segments, fields, noise, clipping, surfaces, opacity, lighting, shadows, half_angle,
-    ambient_occlusion, depth_cue, gradients,
+    filters, glow, emission, segments, fields, noise, clipping, surfaces, refraction, opacity, lighting, shadows,
+    half_angle, ambient_occlusion, depth_cue, gradients,
 )  # fmt: skip
 
 
