@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -19,16 +18,15 @@ _KEPT = 8  # meshes that are not read again
 MOST_TRIANGLES = 2_000_000
 
 
-@dataclass(frozen=True, eq=False)
 class ClosedMesh:
     """``vertices`` float64 [n, 3] in world coordinates, ``triangles`` int64 [k, 3].
 
     Every edge belongs to an even number of triangles, so that a ray crosses them an even number of times. Which way
-    they are wound does not matter.
+    they are wound does not matter. It does not change, and equals itself alone.
     """
 
-    vertices: np.ndarray
-    triangles: np.ndarray
+    def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
+        self.vertices, self.triangles = vertices, triangles
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:

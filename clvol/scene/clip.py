@@ -109,15 +109,16 @@ class Clip(Table):
         """
         if self.file is None:
             return self
+        path = folder / self.file
         try:
-            mesh = read_mesh(folder / self.file)
+            mesh = read_mesh(path)
         except VolumeError as error:
             where = f"{origin}: clip.{number}.file"
             raise SceneError(where, f"got {self.file!r}: {error.what}", error.expected) from None
-        return MeshClip(**{name: getattr(self, name) for name in self.model_fields_set}, mesh=mesh)
+        return MeshClip(type=self.type, keep=self.keep, file=str(path), mesh=mesh)
 
 
 class MeshClip(Clip):
-    """A clip of type "mesh" in a resolved scene."""
+    """A clip of type "mesh" in a resolved scene, with the whole path of its file."""
 
     mesh: ClosedMesh

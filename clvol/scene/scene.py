@@ -373,8 +373,8 @@ class Scene(SceneTables):
     @property
     def input_paths(self) -> list[Path]:
         """The files and folders that the scene names: volume, fields and their label tables, environment, what
-        lights project, transfer function."""
-        named = [*self.field, *self.channel, self.environment, *self.light, self.transfer_function]
+        lights project, clips, transfer function."""
+        named = [*self.field, *self.channel, self.environment, *self.light, *self.clip, self.transfer_function]
         files = [getattr(table, "file", None) for table in named] + [field.labels_file for field in self.field]
         files += named_files(getattr(self.volume, "file", None), self._folder)
         return [self._folder / file for file in files if isinstance(file, str) and not is_url(file)]

@@ -13,6 +13,7 @@ from clvol import Renderer
 from clvol.errors import SceneError
 from clvol.explanation import explain
 from clvol.integrators.raycast.caster import Raycaster
+from clvol.render.made_from import MadeFrom
 
 ARRAY = ramp(axis=0, size=24).astype(np.float32)
 LIT = {"light": [{"type": "directional", "direction": [0.3, 0.4, 1.0]}]}
@@ -184,6 +185,12 @@ def test_files_hold_the_same_mesh(folder, write):
     assert len(clip.mesh.vertices) == 8 and len(clip.mesh.triangles) == 12
     assert [corner.tolist() for corner in clip.mesh.bounds] == list(BOX)
     assert clipped(mesh(file)).clips[0].mesh is clip.mesh  # read once
+
+
+def test_the_file_is_an_input_of_the_scene_and_its_pictures(folder, cube):
+    asked = clvol.Scene(volume=clvol.Volume(ARRAY), transfer_function=constant_function(), clip=[mesh(cube)])
+    assert [str(path) for path in asked.input_paths] == [cube]
+    assert len(MadeFrom(asked.resolve())()["clip_meshes"]) == 1
 
 
 def test_an_open_mesh_says_where(folder):
