@@ -13,7 +13,7 @@ from clvol.device.view import EVERY_PIXEL, RayFrame
 from clvol.integrators.base import FrameData, Progress
 from clvol.integrators.raycast.measured_gain import LEAST_PIXELS, MeasuredGain
 from clvol.integrators.raycast.picture import WholePicture
-from clvol.integrators.raycast.reprojection import MARGIN, Move, plan_move
+from clvol.integrators.raycast.reprojection import MARGIN, MOVE, Move, plan_move
 from clvol.integrators.raycast.same_starts import Facts
 from clvol.opencl.arguments import INT4, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
@@ -31,6 +31,7 @@ COHERENT_ARGUMENTS = (
 )
 _REUSED, _HOLES, _LATE, _AUDITED = range(4)  # as in cl/coherence.h
 _PAUSE, _LONGEST_PAUSE = 8, 64  # pictures from the hull after one with late starts: at first, and at most
+_NOTHING = 0x7F800000  # the bits of infinity
 _NOTHING_REUSED: dict[str, Any] = {
     "reused_starts": 0, "holes": 0, "late_starts": 0, "samples_saved": 0, "reinitialised": True,
 }  # fmt: skip
@@ -82,6 +83,15 @@ class History:
             self._arrays[name] = make()
         return self._arrays[name]
 
+    def nearest(self, context: DeviceContext, shape: tuple[int, int]) -> tuple[DeviceArray, DeviceArray]:
+        """int32 arrays of ``shape``: one in which nothing is known, and one that is made so for the next picture."""
+        names = ("nearest", "nearest, too")[:: 1 if self.audits % 2 else -1]
+        made = [
+            self.array(name, shape, lambda: context.upload(np.full(shape, _NOTHING, np.int32), writable=True))
+            for name in names
+        ]
+        return made[0], made[1]
+
     def move_to(self, caster: Raycaster, frame: RayFrame, size: tuple[int, int], facts: Facts) -> Move | str:
         """How places move from the last picture to this one, or why rays start at the hull."""
         if self._rests:
@@ -114,7 +124,7 @@ def warm_up_reprojection(context: DeviceContext) -> None:
     """Launches the kernels of ``reproject``, for a picture of a tile of which nothing is known."""
     history, size = History(), (TILE, TILE)
     history.array("kept", size, lambda: context.upload(np.full(size, np.inf, np.float32), writable=True))
-    nowhere = Move(np.zeros(25, np.float32), (0, 0, 0, 0), np.zeros((1, 1), np.uint8))
+    nowhere = Move(np.zeros(MOVE, np.float32), (0, 0, 0, 0), np.zeros((1, 1), np.uint8))
     reproject(context, history, nowhere, size, 1.0, 1)
     context.finish()
 
@@ -230,36 +240,30 @@ def reproject(
     """float32 [height, width]: the starts of a picture of ``size`` (width, height), from what ``history`` has kept of
     the picture before. One packet of ``audit`` is marked."""
     width, height = size
-    stride, rows = width + 2 * MARGIN + TILE, height + 2 * MARGIN
-    nearest, widened = (
-        history.array(name, (rows, stride), lambda: context.empty(np.int32, (rows, stride)))
-        for name in ("nearest", "widened")
-    )
-    starts = history.array("starts", (height, width), lambda: context.empty(np.float32, (height, width)))
-    kept = history.array("kept", (height, width), lambda: context.empty(np.float32, (height, width)))
+    stride, rows = -(-(width + 2 * MARGIN) // TILE) * TILE + TILE, height + 2 * MARGIN
+    make = context.empty
+    starts = history.array("starts", (height, width), lambda: make(np.float32, (height, width)))
+    kept = history.array("kept", (height, width), lambda: make(np.float32, (height, width)))
+    nearest, following = history.nearest(context, (rows, stride))
     numbers, inside = context.upload(move.numbers), context.upload(move.inside)
-    extent = np.array([width, height, stride, rows], np.int32)
-    window = np.array(move.window, np.int32)
     golden = _coprime(audit)
     chosen = np.array([audit, history.audits * golden % audit, golden, 0], np.int32)
-    history.audits += 1
 
     def run(name: str, items: int, *declared: Any, **given: Any) -> None:
         kernel = context.kernel("reproject.cl", name, declared, {"MARGIN": MARGIN})
-        kernel(context.queue, (items,), None, **given)
+        kernel(context.queue, (items,), (1,) if context.is_cpu else None, move=numbers, size=extent, **given)
 
-    of_nearest, of_widened = writes("nearest", np.int32, rows, stride), reads("widened", np.int32, rows, stride)
-    of_size, of_window = value("size", INT4), value("window", INT4)
-    run("clear_nearest", rows, of_nearest, of_size, nearest=nearest, size=extent)
-    run("project_kept", height, reads("kept", np.float32, height, width), of_nearest, reads("move", np.float32, 25),
-        of_size, value("old_width", np.int32),
-        kept=kept, nearest=nearest, move=numbers, size=extent, old_width=width)  # fmt: skip
-    run("widen_rows", rows, of_nearest, of_widened, of_size, of_window,
-        nearest=nearest, widened=widened, size=extent, window=window)  # fmt: skip
-    run("widen_columns", height, of_widened, reads("inside", np.uint8, *move.inside.shape),
-        writes("starts", np.float32, height, width), of_size, of_window, value("back", np.float32),
-        value("audit", INT4), widened=widened, inside=inside, starts=starts, size=extent, window=window, back=back,
+    extent = np.array([width, height, stride, rows], np.int32)
+    of_move, of_size = reads("move", np.float32, MOVE), value("size", INT4)
+    run("project_kept", rows, reads("kept", np.float32, height, width),
+        writes("nearest", np.int32, rows, stride), writes("next", np.int32, rows, stride), of_move, of_size,
+        kept=kept, nearest=nearest, next=following)  # fmt: skip
+    run("find_starts", move.inside.size, reads("nearest", np.int32, rows, stride),
+        reads("inside", np.uint8, *move.inside.shape), writes("starts", np.float32, height, width), of_move, of_size,
+        value("window", INT4), value("back", np.float32), value("audit", INT4),
+        nearest=nearest, inside=inside, starts=starts, window=np.array(move.window, np.int32), back=back,
         audit=chosen)  # fmt: skip
+    history.audits += 1
     return starts
 
 
