@@ -36,7 +36,8 @@ class ResidentVolume:
     ``voxels``: the (first) buffer of voxels or samples. ``values``: the map from voxels to the values that kernels
     compute with. ``switches``: how voxels are stored. ``size``: lattice points (x, y, z). ``stride``: elements from
     one row to the next, and from one slice to the next. ``cells`` (x, y, z): cells of empty space, each of
-    2^``cell_shift`` lattice units. ``layout``: switches (-D) that kernels need beside those of the scene, where voxels
+    2^``cell_shift`` lattice units, the first of which begins ``cells_begin`` before the first lattice point.
+    ``layout``: switches (-D) that kernels need beside those of the scene, where voxels
     lie neither in one array nor in blocks.
 
     ``bounds``, ``min_max``, ``gradients`` and ``plain`` need all voxels in one array.
@@ -49,6 +50,7 @@ class ResidentVolume:
     stride: tuple[int, int]
     cells: tuple[int, int, int]
     cell_shift: int
+    cells_begin: float = 0.0
     layout: dict[str, int] = {}
     view_fields: dict[str, tuple[float, ...]] = {}  # (x, y, z) of members of ``View`` that are of this volume alone
     has_fine_bounds = False

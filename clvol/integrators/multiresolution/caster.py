@@ -24,6 +24,7 @@ from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
 from clvol.integrators.multiresolution.resident_codes import ResidentCodes
 from clvol.integrators.multiresolution.sample_allocator import map_shift
 from clvol.integrators.raycast.caster import SECONDS_A_SAMPLE, Raycaster
+from clvol.integrators.raycast.history import History
 from clvol.integrators.raycast.march import March
 from clvol.integrators.raycast.switches import raycast_switches
 from clvol.integrators.tiles.geometry import TileGrid
@@ -55,6 +56,8 @@ HeldBlocks = DeviceBlocks | ResidentCodes
 class BlockedVolume(ResidentVolume):
     """A volume on the device as blocks; lattice coordinates are those of ``DeviceVolume``. It has no array of all
     voxels."""
+
+    cells_begin = 0.5
 
     def __init__(self, blocks: HeldBlocks) -> None:
         self.blocks = blocks
@@ -100,12 +103,15 @@ class BlockCaster(Raycaster):
         skip: bool = True,
         tile: tuple[int, int] = (TILE, TILE),
         march: March | None = None,
+        history: History | None = None,
     ) -> None:
         self.blocks = blocks
         grid = blocks.blocks
         self._blocks = context.upload(blocks_struct(grid))
         volume = BlockedVolume(blocks)
-        super().__init__(context, resolved, lanes=lanes, skip=skip, tile=tile, volume=volume, march=march)
+        super().__init__(
+            context, resolved, lanes=lanes, skip=skip, tile=tile, volume=volume, march=march, history=history
+        )
 
     @property
     def structs(self) -> dict[str, np.dtype]:
@@ -153,6 +159,11 @@ class BlockCaster(Raycaster):
             return "full"
         is_even = not ((goal > 0) & (goal != DROPPED)).any()
         return "full" if is_even and stepping in ("limited", "naive") else stepping
+
+    @property
+    def contents(self) -> bytes:
+        """As in ``Raycaster``: the levels of the resident blocks."""
+        return self.blocks.levels.tobytes()
 
     def cell_depths(self) -> None:
         """As in ``Raycaster``: there are no bounds of cells at full resolution."""

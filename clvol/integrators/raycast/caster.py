@@ -318,6 +318,11 @@ class Raycaster:
             return render_from_history(self, self.history, camera, width, height, progress, depth)
         return WholePicture(self, camera, width, height, depth, lattice).render(progress)
 
+    @property
+    def contents(self) -> bytes:
+        """What tells apart what the device holds of the volume, where that changes."""
+        return b""
+
     def cell_depths(self) -> np.ndarray | None:
         """As ``cell_depths``; None where bounds are not at hand."""
         return cell_depths(self.volume, self._functions[0], self.resolved.volume.grid.smallest_edge)

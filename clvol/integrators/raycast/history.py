@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clvol.device.view import EVERY_PIXEL, RayFrame
+from clvol.features import STEPPINGS
 from clvol.integrators.base import FrameData, Progress
 from clvol.integrators.raycast.measured_gain import LEAST_PIXELS, MeasuredGain
 from clvol.integrators.raycast.picture import WholePicture
@@ -41,7 +42,6 @@ _UNSUPPORTED = (
     ("COMPOSITING", "a projection"),
     ("SLICES", "slices"),
     ("WORKERS", "the pyramid"),
-    ("BLOCKS", "blocks"),
     ("BRICKS", "codes that stay on the device"),
     ("GLOW", "associated colours"),
 )
@@ -109,7 +109,20 @@ def unsupported(resolved: ResolvedScene, switches: Mapping[str, int]) -> str | N
     """Why pictures of a scene with these switches do not take starts from others; None if they may."""
     if resolved.image.ray_spacing > 1:
         return "image.ray_spacing"
+    if switches.get("BLOCKS"):
+        if resolved.compression.decode == "resident":
+            return "codes that stay on the device"
+        if resolved.multiresolution.tiles:
+            return "multiresolution.tiles"
+        if not switches.get("WORKERS") and switches["STEPPING"] != STEPPINGS["full"]:
+            return "steps that begin anew in each block"
     return next((reason for switch, reason in _UNSUPPORTED if switches.get(switch)), None)
+
+
+def refused(resolved: ResolvedScene, switches: Mapping[str, int]) -> dict[str, Any] | None:
+    """What is said of coherence where pictures do not take starts from others; None if they may."""
+    reason = unsupported(resolved, switches)
+    return None if reason is None else {"mode": "off" if switches.get("WORKERS") else "cells", "reason": reason}
 
 
 def arrays_to_warm_up(caster: Raycaster, tiles: int) -> dict[str, DeviceArray]:
@@ -135,9 +148,9 @@ def visible_bounds(caster: Raycaster) -> tuple[np.ndarray, np.ndarray]:
     box = []
     for axis in (2, 1, 0):
         seen = np.flatnonzero(caster.shown.any(axis=tuple({0, 1, 2} - {axis})))
-        box.append((seen[0] << shift, (seen[-1] + 1) << shift))
+        box.append(((seen[0] << shift) - caster.volume.cells_begin, (seen[-1] + 1) << shift))
     low, high = np.array(box, np.float64).T
-    return np.minimum(low, last), np.minimum(high, last)
+    return np.clip(low, 0, last), np.minimum(high, last)
 
 
 class CoherentPicture(WholePicture):
@@ -179,10 +192,10 @@ def render_from_history(
     caster: Raycaster, history: History, camera: Camera, width: int, height: int, progress: Progress | None, depth: bool
 ) -> FrameData:
     """A picture whose rays start where ``history`` says. Its notes have "coherence"."""
-    refusal = unsupported(caster.resolved, caster.switches)
+    refusal = refused(caster.resolved, caster.switches)
     if refusal is not None:
         data = WholePicture(caster, camera, width, height, depth, EVERY_PIXEL).render(progress)
-        return replace(data, notes={**data.notes, "coherence": {"mode": "cells", "reason": refusal}})
+        return replace(data, notes={**data.notes, "coherence": refusal})
     begun, measured = perf_counter(), width * height >= LEAST_PIXELS
     reason = history.rests()
     if reason is None and measured:
@@ -198,7 +211,7 @@ def render_from_history(
     if history.size != size:
         history.forget()
     kept = history.array("kept", shape, lambda: context.empty(np.float32, shape))
-    facts = Facts.of(caster.resolved)
+    facts = Facts.of(caster.resolved, caster.contents)
     picture = CoherentPicture(caster, camera, width, height, depth, hull, kept)
     found = history.move_to(caster, picture.frame, size, facts)
     reused = isinstance(found, Move)
