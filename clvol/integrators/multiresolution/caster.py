@@ -73,6 +73,11 @@ class BlockedVolume(ResidentVolume):
         edge = grid.edge >> self.cell_shift
         self.cells = bx * edge, by * edge, bz * edge
 
+    @property
+    def contents(self) -> bytes:
+        """As in ``ResidentVolume``: the levels of the resident blocks."""
+        return self.blocks.levels.tobytes()
+
 
 Caster = TypeVar("Caster", bound="BlockCaster")
 
@@ -159,11 +164,6 @@ class BlockCaster(Raycaster):
             return "full"
         is_even = not ((goal > 0) & (goal != DROPPED)).any()
         return "full" if is_even and stepping in ("limited", "naive") else stepping
-
-    @property
-    def contents(self) -> bytes:
-        """As in ``Raycaster``: the levels of the resident blocks."""
-        return self.blocks.levels.tobytes()
 
     def cell_depths(self) -> None:
         """As in ``Raycaster``: there are no bounds of cells at full resolution."""

@@ -65,8 +65,8 @@ class MultiresolutionEngine:
         self.ask(wait, progress)
         self._shown = self.residency.generation
         make = caster_of(resolved, self.residency)
-        history = {"history": self.residency.history} if make is BlockCaster else {}
-        self.caster = make(context, resolved, self.residency.blocks, **history)
+        self.caster = make(context, resolved, self.residency.blocks)
+        self.caster.history = self.residency.history
 
     @property
     def visible_share(self) -> float:
@@ -149,10 +149,10 @@ class MultiresolutionEngine:
         """As ``Prepared.render``."""
         self._make_resident(camera, width, height)
         if self._tile_size and lattice == EVERY_PIXEL:
-            data = self._described(self._tiled().render(camera, width, height, progress, depth))
+            tiled = self._described(self._tiled().render(camera, width, height, progress, depth))
             if self.resolved.coherence.mode == "reproject":
-                data.notes["coherence"] = refused(self.resolved, self.caster.switches)
-            return data
+                tiled.notes["coherence"] = refused(self.resolved, self.caster.switches)
+            return tiled
         data = self.caster.render(camera, width, height, progress, depth, lattice)
         data.notes["blocks"] = self.residency.describe()
         if isinstance(self.residency, CodedResidency):

@@ -32,8 +32,9 @@ COHERENT_ARGUMENTS = (
 )
 _REUSED, _HOLES, _LATE, _AUDITED = range(4)  # as in cl/coherence.h
 _PAUSE, _LONGEST_PAUSE = 8, 64  # pictures from the hull after one with late starts: at first, and at most
+LATE_BEFORE = "starts were late"
 _NOTHING = 0x7F800000  # the bits of infinity
-_NOTHING_REUSED: dict[str, Any] = {
+NOTHING_REUSED: dict[str, Any] = {
     "reused_starts": 0, "holes": 0, "late_starts": 0, "samples_saved": 0, "reinitialised": True,
 }  # fmt: skip
 _UNSUPPORTED = (
@@ -45,6 +46,28 @@ _UNSUPPORTED = (
     ("BRICKS", "codes that stay on the device"),
     ("GLOW", "associated colours"),
 )
+
+
+class LateStarts:
+    """After late starts pictures are rendered from the hull for a while, longer each time."""
+
+    def __init__(self) -> None:
+        self._pause = self._rests = 0  # the last pause in pictures, and what is left of it
+
+    def found(self) -> None:
+        self._pause = self._rests = min(max(2 * self._pause, _PAUSE), _LONGEST_PAUSE)
+
+    def rests(self) -> str | None:
+        """Why nothing is kept of the next picture, either; the last one before starts are taken again is kept."""
+        if self._rests <= 1:
+            return None
+        self._rests -= 1
+        return LATE_BEFORE
+
+    def starts_from_hull(self) -> bool:
+        """Whether the next picture, which is kept, does."""
+        self._rests -= (ends := self._rests > 0)
+        return ends
 
 
 class History:
@@ -59,23 +82,20 @@ class History:
         self.size = (0, 0)
         self.facts: Facts | None = None
         self.audits = 0  # so far
-        self.gain = MeasuredGain()
-        self._pause = self._rests = 0  # the last pause in pictures, and what is left of it
+        self.gain, self.late = MeasuredGain(), LateStarts()
+        self.number = 0  # of the picture, if it was shared
+        self._shared: History | None = None
         self._arrays: dict[str, DeviceArray] = {}
 
     def forget(self) -> None:
         self.frame = self.facts = None
 
-    def found_late(self) -> None:
-        """Starts were late: for a while, longer each time, pictures are rendered from the hull."""
-        self._pause = self._rests = min(max(2 * self._pause, _PAUSE), _LONGEST_PAUSE)
-
-    def rests(self) -> str | None:
-        """Why nothing is kept of the next picture, either; the last one before starts are taken again is kept."""
-        if self._rests <= 1:
-            return None
-        self._rests -= 1
-        return "starts were late"
+    @property
+    def of_shared(self) -> History:
+        """That of pictures that are shared with other devices."""
+        if self._shared is None:
+            self._shared = History()
+        return self._shared
 
     def array(self, name: str, shape: tuple[int, ...], make: Callable[[], DeviceArray]) -> DeviceArray:
         """The array ``name`` that is used for every picture of one size."""
@@ -94,9 +114,8 @@ class History:
 
     def move_to(self, caster: Raycaster, frame: RayFrame, size: tuple[int, int], facts: Facts) -> Move | str:
         """How places move from the last picture to this one, or why rays start at the hull."""
-        if self._rests:
-            self._rests -= 1
-            return "starts were late"
+        if self.late.starts_from_hull():
+            return LATE_BEFORE
         if self.frame is None or self.facts is None:
             return "another size" if self.size not in ((0, 0), size) else "the first picture"
         reason = facts.reason_afresh(self.facts)
@@ -197,7 +216,7 @@ def render_from_history(
         data = WholePicture(caster, camera, width, height, depth, EVERY_PIXEL).render(progress)
         return replace(data, notes={**data.notes, "coherence": refusal})
     begun, measured = perf_counter(), width * height >= LEAST_PIXELS
-    reason = history.rests()
+    reason = history.late.rests()
     if reason is None and measured:
         reason = history.gain.turn()
     if reason is not None:
@@ -205,13 +224,13 @@ def render_from_history(
         data = WholePicture(caster, camera, width, height, depth, EVERY_PIXEL).render(progress)
         if measured:
             history.gain.took(perf_counter() - begun, reused=False)
-        return replace(data, notes={**data.notes, "coherence": _NOTHING_REUSED | {"mode": "cells", "reason": reason}})
+        return replace(data, notes={**data.notes, "coherence": NOTHING_REUSED | {"mode": "cells", "reason": reason}})
     context, size, shape = caster.context, (width, height), (height, width)
     hull = history.array("hull", shape, lambda: context.upload(np.full(shape, np.inf, np.float32)))
     if history.size != size:
         history.forget()
     kept = history.array("kept", shape, lambda: context.empty(np.float32, shape))
-    facts = Facts.of(caster.resolved, caster.contents)
+    facts = Facts.of(caster.resolved, caster.volume.contents)
     picture = CoherentPicture(caster, camera, width, height, depth, hull, kept)
     found = history.move_to(caster, picture.frame, size, facts)
     reused = isinstance(found, Move)
@@ -231,7 +250,7 @@ def render_from_history(
     if sums[_LATE]:
         # What the audit found at some pixels may be at others, too.
         data = picture.render_again(data, hull)
-        history.found_late()
+        history.late.found()
         history.gain.lost()
     elif measured and reused:
         history.gain.took(perf_counter() - begun, reused=True)
@@ -248,15 +267,16 @@ def step_back(caster: Raycaster) -> float:
 
 
 def reproject(
-    context: DeviceContext, history: History, move: Move, size: tuple[int, int], back: float, audit: int
-) -> DeviceArray:
-    """float32 [height, width]: the starts of a picture of ``size`` (width, height), from what ``history`` has kept of
-    the picture before. One packet of ``audit`` is marked."""
+    context: DeviceContext, history: History, move: Move, size: tuple[int, int], back: float, audit: int,
+    kept: DeviceArray | None = None,
+) -> DeviceArray:  # fmt: skip
+    """float32 [height, width]: the starts of a picture of ``size`` (width, height), from what is ``kept`` of the
+    picture before; None: what ``history`` has kept. One packet of ``audit`` is marked."""
     width, height = size
     stride, rows = -(-(width + 2 * MARGIN) // TILE) * TILE + TILE, height + 2 * MARGIN
     make = context.empty
     starts = history.array("starts", (height, width), lambda: make(np.float32, (height, width)))
-    kept = history.array("kept", (height, width), lambda: make(np.float32, (height, width)))
+    kept = kept or history.array("kept", (height, width), lambda: make(np.float32, (height, width)))
     nearest, following = history.nearest(context, (rows, stride))
     numbers, inside = context.upload(move.numbers), context.upload(move.inside)
     golden = _coprime(audit)
