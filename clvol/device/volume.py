@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from clvol.device import host_cells
+from clvol.device.fields import CellLayout
 from clvol.device.gradients import precompute
 from clvol.device.host_cells import done_on_host
 from clvol.device.memory import ValueMap, value_map, voxel_switches
@@ -36,7 +37,7 @@ class ResidentVolume:
     ``voxels``: the (first) buffer of voxels or samples. ``values``: the map from voxels to the values that kernels
     compute with. ``switches``: how voxels are stored. ``size``: lattice points (x, y, z). ``stride``: elements from
     one row to the next, and from one slice to the next. ``cells`` (x, y, z): cells of empty space, each of
-    2^``cell_shift`` lattice units, the first of which begins ``cells_begin`` before the first lattice point.
+    2^``cell_shift`` lattice units.
     ``contents`` tells apart what is resident of the volume, where that changes. ``layout``: switches (-D) that kernels
     need beside those of the scene, where voxels lie neither in one array nor in blocks.
 
@@ -50,7 +51,6 @@ class ResidentVolume:
     stride: tuple[int, int]
     cells: tuple[int, int, int]
     cell_shift: int
-    cells_begin: float = 0.0
     layout: dict[str, int] = {}
     view_fields: dict[str, tuple[float, ...]] = {}  # (x, y, z) of members of ``View`` that are of this volume alone
     has_fine_bounds = False
@@ -59,6 +59,11 @@ class ResidentVolume:
     @property
     def contents(self) -> bytes:
         return b""
+
+    @property
+    def cell_layout(self) -> CellLayout:
+        """Where the cells are."""
+        return CellLayout(1 << self.cell_shift)
 
     @property
     def value_range(self) -> tuple[float, float]:

@@ -163,11 +163,11 @@ def warm_up_reprojection(context: DeviceContext) -> None:
 
 def visible_bounds(caster: Raycaster) -> tuple[np.ndarray, np.ndarray]:
     """Lattice points (x, y, z): corners of a box around all cells in which anything can be seen."""
-    shift, last = caster.volume.cell_shift, np.asarray(caster.volume.size) - 1
+    layout, last = caster.volume.cell_layout, np.asarray(caster.volume.size) - 1
     box = []
     for axis in (2, 1, 0):
         seen = np.flatnonzero(caster.shown.any(axis=tuple({0, 1, 2} - {axis})))
-        box.append(((seen[0] << shift) - caster.volume.cells_begin, (seen[-1] + 1) << shift))
+        box.append((seen[0] * layout.edge + layout.first, (seen[-1] + 1) * layout.edge + layout.first))
     low, high = np.array(box, np.float64).T
     return np.clip(low, 0, last), np.minimum(high, last)
 
