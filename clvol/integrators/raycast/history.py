@@ -45,6 +45,7 @@ _UNSUPPORTED = (
     ("WORKERS", "the pyramid"),
     ("BRICKS", "codes that stay on the device"),
     ("GLOW", "associated colours"),
+    ("CURVED_RAYS", "continuous refraction"),
 )
 
 
