@@ -52,6 +52,7 @@ def effect_switches(
         **field_switches(resolved),
         "NOISE": _noise(resolved),
         **shadow_switches(resolved),
+        **({"TINTED_SCATTERING": 1} if resolved.attenuation_noise else {}),
         **({"GLOW": 1} if resolved.glow is not None else {}),
         **mesh_switch(resolved),
         **occlusion_switch(resolved),

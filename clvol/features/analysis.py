@@ -55,6 +55,7 @@ NAMES = (
     "environment background",
     "shadows",
     "scattering",
+    "attenuation noise",
     "half-angle slices",
     "ambient occlusion",
     "isosurfaces",
