@@ -35,6 +35,7 @@ def effect_switches(
     refracts = any(surface.refraction != 1.0 for surface in surfaces)
     factors = resolved.gradient_opacity is not None or resolved.directional_opacity is not None
     faces = bool(surfaces) and resolved.ambient_occlusion is not None
+    ends = lit and resolved.material.light_at == "ends"
     curves = resolved.refraction is not None
     decides = factors or has_gradient_layers(resolved)
     switches = {
@@ -57,13 +58,16 @@ def effect_switches(
         **mesh_switch(resolved),
         **occlusion_switch(resolved),
         **({"CURVED_RAYS": 1} if curves else {}),
+        **mesh_switch(resolved),
+        **occlusion_switch(resolved),
+        **({"LIT_AT_ENDS": 1} if ends else {}),
         "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides or faces or curves else 0,
     }
     if not any(switches.values()):
         return {}
     # Opacities of whole segments are enough where no effect cuts segments or changes their extinction.
     changed = decides or surfaces or resolved.fields or resolved.integration.classification == "pre"
-    changed = changed or resolved.glow is not None or curves
+    changed = changed or resolved.glow is not None or curves or ends
     return {
         "EFFECTS": 1,
         "TRANSLUCENT": int(is_translucent(resolved)),
