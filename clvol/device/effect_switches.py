@@ -55,8 +55,6 @@ def effect_switches(
         **shadow_switches(resolved),
         **({"TINTED_SCATTERING": 1} if resolved.attenuation_noise else {}),
         **({"GLOW": 1} if resolved.glow is not None else {}),
-        **mesh_switch(resolved),
-        **occlusion_switch(resolved),
         **({"CURVED_RAYS": 1} if curves else {}),
         **mesh_switch(resolved),
         **occlusion_switch(resolved),
