@@ -27,6 +27,9 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
 #if BLOCKS
   const BlockVolume block_samples = BLOCK_VOLUME;
   const Source source = {volume, view, pyramid, map, &block_samples, counted + PYRAMID_COUNTERS - BLOCK_COUNTERS};
+#elif EFFECTS
+  const Scene scene = SCENE;
+  const Source source = {volume, view, pyramid, map, &scene};
 #else
   const Source source = {volume, view, pyramid, map};
 #endif
@@ -102,6 +105,9 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
   if (width > 0)
     for (int q = 0; q < PACKETS; ++q) {
       const int p = q * WORKERS + WORKER;
+#if ENVIRONMENT_VISIBLE
+      show_behind(&source, &packets[q], left + p % PACKETS_IN_ROW * PACKET_W, top + p / PACKETS_IN_ROW * PACKET_H);
+#endif
 #if WITH_DEPTH
       float places[LANES];
       STORE_LANES(half_place(&packets[q].half_, 1.0f, table, view), places);
@@ -141,6 +147,8 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
 
 #if BLOCKS
 #define REPORTED_FIELDS VIEW_FIELDS, PYRAMID_FIELDS, BLOCKS_FIELDS
+#elif EFFECTS
+#define REPORTED_FIELDS VIEW_FIELDS, PYRAMID_FIELDS, EFFECTS_FIELDS
 #else
 #define REPORTED_FIELDS VIEW_FIELDS, PYRAMID_FIELDS
 #endif

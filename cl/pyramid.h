@@ -45,6 +45,9 @@
 #include "view.h"
 #include "struct_fields.h"
 #include "tally.h"
+#if EFFECTS
+#include "scene.h"
+#endif
 #if BLOCKS
 #include "sample_blocks.h"
 #else
@@ -131,6 +134,9 @@ typedef struct {
 #define COUNT_ACCUMULATIONS 2 /* pixels of the picture that a segment was added to */
 #if BLOCKS /* and after them those of block_parameters.h */
 #define PYRAMID_COUNTERS (3 + BLOCK_COUNTERS)
+#elif EFFECTS /* and those of effects.h */
+#define PYRAMID_COUNTERS (3 + EFFECT_COUNTERS)
+#define EFFECT_TALLIES(counted) ((counted) + 3)
 #else
 #define PYRAMID_COUNTERS 3
 #endif
@@ -185,6 +191,9 @@ typedef struct {
 #if BLOCKS
   const BlockVolume *blocks;
   Tally *block_counters;
+#endif
+#if EFFECTS
+  const Scene *scene;
 #endif
 } Source;
 

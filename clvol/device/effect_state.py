@@ -265,12 +265,12 @@ class EffectState:
         self.arrays["constant_distances"] = distances
 
     def counted(self, sums: dict[str, int]) -> dict[str, int]:
-        """Those of ``sums`` (by the names of COUNTERS) that the scene's effects count."""
+        """``sums`` by name, of COUNTERS only those that the scene's effects count."""
         by_volume = self.switches.get("SHADOWS") in (METHODS["volume"], METHODS["half-angle"])
         return {
             name: total
             for name, total in sums.items()
-            if self.switches.get(COUNTERS[name]) and not (by_volume and name in _BY_RAYS)
+            if name not in COUNTERS or self.switches.get(COUNTERS[name]) and not (by_volume and name in _BY_RAYS)
         }
 
 

@@ -32,7 +32,11 @@ _KEYS = {
     "classification": ("preintegrated",),
     "compositing": ("over",),
 }
-_EFFECTS = PLAIN | {"cubic filter", "catmull-rom filter", "prefilter", "clipping", "colour cycling"}
+_EFFECTS = PLAIN | {
+    "cubic filter", "catmull-rom filter", "prefilter", "clipping", "colour cycling", "lighting", "specular",
+    "environment", "environment background", "shadows", "scattering", "gradients", "sobel gradients",
+    "precomputed gradients", "gradient opacity", "directional opacity", "depth cueing",
+}  # fmt: skip
 
 
 class Pyramid(WholeVolume):
