@@ -29,7 +29,10 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
   const Source source = {volume, view, pyramid, map, &block_samples, counted + PYRAMID_COUNTERS - BLOCK_COUNTERS};
 #elif EFFECTS
   const Scene scene = SCENE;
-  const Source source = {volume, view, pyramid, map, &scene};
+#if HELD_LIGHT
+  LightQueue queue;
+  queue.count = 0;
+#endif
 #else
   const Source source = {volume, view, pyramid, map};
 #endif
@@ -52,6 +55,11 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
 #endif
   SHARED Levels *m = &shared;
   PixelPacket packets[PACKETS];
+#if EFFECTS && HELD_LIGHT
+  const Source source = {volume, view, pyramid, map, &scene, &queue, packets};
+#elif EFFECTS
+  const Source source = {volume, view, pyramid, map, &scene};
+#endif
   /* Slices at which all pixels take part, and where chunks begin. */
   const int period = max(CHUNK, 1 << pyramid->levels);
   const int columns_of_tile = levels < LEAST_LEVEL ? 1 : (TILE >> levels) * (TILE >> levels);
@@ -102,9 +110,15 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
     alive = group_any(m, goes_on);
     base = (int)group_min(m, (float)next);
   }
+#if HELD_LIGHT
+  light_queue(&scene, &queue, packets, EFFECT_TALLIES(counted));
+#endif
   if (width > 0)
     for (int q = 0; q < PACKETS; ++q) {
       const int p = q * WORKERS + WORKER;
+#if HELD_LIGHT
+      EACH_LANE(k) packets[q].rgba[4 * k + 3] = packets[q].opacity[k];
+#endif
 #if ENVIRONMENT_VISIBLE
       show_behind(&source, &packets[q], left + p % PACKETS_IN_ROW * PACKET_W, top + p / PACKETS_IN_ROW * PACKET_H);
 #endif

@@ -79,6 +79,13 @@ typedef struct {
   FIELD(Pyramid, oversampling), FIELD(Pyramid, half_count), FIELD(Pyramid, ray_spacing), \
   FIELD(Pyramid, spacing_growth), FIELD(Pyramid, gate_low), FIELD(Pyramid, gate_high)
 
+/* Whether segments are queued for light (pyramid_light.h). */
+#if EFFECTS && LANES > 1 && defined(HARDWARE_GATHER) && SEGMENT_OPACITIES
+#define HELD_LIGHT 1
+#else
+#define HELD_LIGHT 0
+#endif
+
 #define CHUNK 8       /* slices */
 #define SLACK 0.5f
 /* of a pixel that is synthesised lie all that it is made from but the farthest, which has 1/16 of the weight */
@@ -194,6 +201,10 @@ typedef struct {
 #endif
 #if EFFECTS
   const Scene *scene;
+#if HELD_LIGHT
+  struct LightQueue *queue;    /* of the tile (pyramid_light.h), */
+  struct PixelPacket *packets; /* of these */
+#endif
 #endif
 } Source;
 

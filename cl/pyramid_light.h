@@ -1,11 +1,11 @@
 /* Light on what the picture's pixels composite (pyramid_pixels.h): gradients in the middle of segments, of whatever length
  * these are, by the reconstruction that the ray caster has. None of them is synthesised: where samples are dense a picture
- * has the ray caster's light, and where they are far apart the oracle has found that light changes little along a segment
- * (oracle_cells.cl).
+ * has the ray caster's light.
  *
- * Segments of a packet are held until its slices end, and lit a few vectors at a time (lit_entries.h), where lanes can be
- * packed and nothing changes what a segment absorbs (HELD_LIGHT); else one by one. A packet's ray is then what a ray of
- * the ray caster is: lengths count in steps from where it enters what is kept of the volume.
+ * In a chunk of slices few segments of a packet show, and light is a chain of operations that wait for each other
+ * (lit_entries.h). So segments of all packets of a tile are queued, packed, where that is one instruction and nothing
+ * changes what a segment absorbs (HELD_LIGHT): opacity does not depend on colour, and what a colour counts for is known
+ * when its segment ends. Elsewhere they are lit one by one.
  */
 #ifndef PYRAMID_LIGHT_H
 #define PYRAMID_LIGHT_H
@@ -29,11 +29,6 @@
 #include "background.h"
 #endif
 
-#if LANES > 1 && defined(HARDWARE_GATHER) && SEGMENT_OPACITIES
-#define HELD_LIGHT 1
-#include "lit_entries.h"
-#else
-#define HELD_LIGHT 0
 #if LIGHTING
 #include "shade.h"
 #include "shown_normal.h"
@@ -41,7 +36,8 @@
 #if DEPTH_CUE
 #include "depth_cue.h"
 #endif
-#endif
+
+#define TOGETHER 4 /* vectors that are lit together */
 
 /* A packet's rays as rays.h has them, from where they enter. */
 INLINE Rays rays_of_packet(__constant const View *view, const PixelPacket *p)
@@ -79,26 +75,195 @@ INLINE Vectors packet_cut_normal(const Scene *scene, __constant const Pyramid *p
 
 #if HELD_LIGHT
 
-/* Composites the opacity of a segment whose middle is on slice `middle`, and holds its colours. */
-INLINE void hold_lit(HeldSegments *held, Gathered *acc, SegmentColor s, const PixelPacket *p, floatN middle, intN active,
-                     Tally *counted)
+/* Segments of any packets of the tile, one an entry, whose opacity is composited: what their colour counts for is in it. */
+#define QUEUED_VECTORS 32
+#define MOST_QUEUED (LANES * QUEUED_VECTORS)
+typedef struct LightQueue {
+  int count;
+  float x[MOST_QUEUED], y[MOST_QUEUED], z[MOST_QUEUED];                /* the middle of the segment, lattice */
+  float along_x[MOST_QUEUED], along_y[MOST_QUEUED], along_z[MOST_QUEUED]; /* the ray's direction, local */
+  float r[MOST_QUEUED], g[MOST_QUEUED], b[MOST_QUEUED], opacity[MOST_QUEUED];
+  float pixel[MOST_QUEUED];                                            /* LANES times the packet's number, plus the lane */
+#if DEPTH_CUE || CUT_FACES
+  float way[MOST_QUEUED]; /* edges from where the ray enters */
+#endif
+#if DEPTH_CUE
+  float entry_depth[MOST_QUEUED];
+#endif
+#if CUT_FACES
+  float cut_x[MOST_QUEUED], cut_y[MOST_QUEUED], cut_z[MOST_QUEUED];
+#endif
+} LightQueue;
+
+/* Adds a segment to the queue, whose middle is on slice `middle`, of the lanes `lit`, whose colours count for `part`. */
+INLINE void queue_segment(const Scene *scene, __constant const Pyramid *pyramid, LightQueue *queue, SegmentColor s,
+                          const PixelPacket *p, int number, floatN middle, floatN part, intN lit)
 {
-  const Emission e = {s.r, s.g, s.b, select((floatN)0.0f, s.a, active)};
-  const intN shows = MASK(e.d > 0.0f);
+  const uint bits = lane_bits(lit);
+  const int at = queue->count;
+  const floatN dx = LOAD_LANES(p->dx), dy = LOAD_LANES(p->dy), dz = LOAD_LANES(p->dz);
+  queue->count = at + popcount(bits);
+  pack_lanes(LOAD_LANES(p->x0) + middle * dx, bits, queue->x + at);
+  pack_lanes(LOAD_LANES(p->y0) + middle * dy, bits, queue->y + at);
+  pack_lanes(LOAD_LANES(p->z0) + middle * dz, bits, queue->z + at);
+  const float steps = 1.0f / scene->view->step;
+  const Vectors forward = direction_to_local(scene->effects, dx * steps, dy * steps, dz * steps);
+  pack_lanes(forward.x, bits, queue->along_x + at), pack_lanes(forward.y, bits, queue->along_y + at);
+  pack_lanes(forward.z, bits, queue->along_z + at);
+  pack_lanes(part * s.r, bits, queue->r + at), pack_lanes(part * s.g, bits, queue->g + at);
+  pack_lanes(part * s.b, bits, queue->b + at), pack_lanes(part * s.a, bits, queue->opacity + at);
+  pack_lanes((float)(LANES * number) + TO_FLOAT((intN)LANE_INDEX), bits, queue->pixel + at);
+#if DEPTH_CUE || CUT_FACES
+  const floatN enter = LOAD_LANES(p->enter);
+  pack_lanes((middle - enter) * scene->view->step, bits, queue->way + at);
+#endif
+#if DEPTH_CUE
+  pack_lanes(scene->view->plane_distance + enter * scene->view->step, bits, queue->entry_depth + at);
+#endif
+#if CUT_FACES
+  const Vectors cut = packet_cut_normal(scene, pyramid, p);
+  pack_lanes(cut.x, bits, queue->cut_x + at), pack_lanes(cut.y, bits, queue->cut_y + at);
+  pack_lanes(cut.z, bits, queue->cut_z + at);
+#endif
+}
+
+#if LIGHTING
+/* The gradients at `count` vectors of places. */
+INLINE void queued_gradients(const Scene *scene, const LightQueue *queue, int k, int count, Vectors *gradients)
+{
+#if GRADIENTS_IN_STAGES && FILTER == FILTER_LINEAR
+  __constant const View *view = scene->view;
+  GradientWords words[TOGETHER];
+  intN corners[TOGETHER];
+  uint beside = 0; /* vectors that have an entry at the volume's faces, as bits */
+  const intN inner_x = view->size.x - 3, inner_y = view->size.y - 3, inner_z = view->size.z - 3;
+  _Pragma("unroll 1") for (int j = 0; j < count; ++j) {
+    const int at = k + LANES * j;
+    const floatN x = LOAD_LANES(queue->x + at), y = LOAD_LANES(queue->y + at), z = LOAD_LANES(queue->z + at);
+    const intN ix = TO_INT(x), iy = TO_INT(y), iz = TO_INT(z);
+    const intN inside = MASK(ix >= 1) & MASK(ix <= inner_x) & MASK(iy >= 1) & MASK(iy <= inner_y) & MASK(iz >= 1) &
+        MASK(iz <= inner_z);
+    beside |= (uint)(any_lane(~inside) != 0) << j;
+    /* There it is not used, but has to be fetched from somewhere. */
+    corners[j] = select((intN)(view->slice_stride + view->row_stride + 1),
+                        corner_offset(scene->volume, view, ix, iy, iz), inside);
+    words[j].fx = x - TO_FLOAT(ix), words[j].fy = y - TO_FLOAT(iy), words[j].fz = z - TO_FLOAT(iz);
+  }
+  if (min(min(view->size.x, view->size.y), view->size.z) < 4) beside = ~0u;
+  else
+    _Pragma("unroll 1") for (int j = 0; j < count; ++j)
+      fetch_gradient_words(scene->volume, view, corners[j], &words[j]);
+  _Pragma("unroll 1") for (int j = 0; j < count; ++j) {
+    const int at = k + LANES * j;
+    if (beside >> j & 1u) {
+      gradients[j] = scene_gradient(scene, LOAD_LANES(queue->x + at), LOAD_LANES(queue->y + at),
+                                    LOAD_LANES(queue->z + at));
+    } else {
+      const Gradient g = gradient_of_words(words[j]);
+      gradients[j] = gradient_to_local(scene->effects, g.x, g.y, g.z);
+    }
+  }
+#else
+  _Pragma("unroll 1") for (int j = 0; j < count; ++j) {
+    const int at = k + LANES * j;
+    gradients[j] = scene_gradient(scene, LOAD_LANES(queue->x + at), LOAD_LANES(queue->y + at),
+                                  LOAD_LANES(queue->z + at));
+  }
+#endif
+}
+#endif
+
+/* Lights all that is queued, and adds it to the pixels of `packets`. */
+RARE void light_queue(const Scene *scene, LightQueue *queue, PixelPacket *packets, Tally *counted)
+{
+  const int entries = queue->count;
+  const floatN zero = 0.0f;
+  /* What is behind the last entry needs a place. */
+  if (entries < MOST_QUEUED) {
+    const int last = entries & -LANES;
+    const intN beyond = MASK(last + LANE_INDEX >= entries);
+    STORE_LANES(select(LOAD_LANES(queue->x + last), zero, beyond), queue->x + last);
+    STORE_LANES(select(LOAD_LANES(queue->y + last), zero, beyond), queue->y + last);
+    STORE_LANES(select(LOAD_LANES(queue->z + last), zero, beyond), queue->z + last);
+    STORE_LANES(select(LOAD_LANES(queue->opacity + last), zero, beyond), queue->opacity + last);
+  }
+  _Pragma("unroll 1") for (int k = 0; k < entries; k += LANES * TOGETHER) {
+    const int count = min((entries - k + LANES - 1) / LANES, TOGETHER);
+#if LIGHTING
+    Vectors gradients[TOGETHER];
+    queued_gradients(scene, queue, k, count, gradients);
+#endif
+    _Pragma("unroll 1") for (int j = 0; j < count; ++j) {
+      const int at = k + LANES * j;
+      const floatN opacity = LOAD_LANES(queue->opacity + at);
+      Vectors color = {LOAD_LANES(queue->r + at), LOAD_LANES(queue->g + at), LOAD_LANES(queue->b + at)};
+#if LIGHTING
+      const Vectors place = {LOAD_LANES(queue->x + at), LOAD_LANES(queue->y + at), LOAD_LANES(queue->z + at)};
+      const Vectors view = {-LOAD_LANES(queue->along_x + at), -LOAD_LANES(queue->along_y + at),
+                            -LOAD_LANES(queue->along_z + at)};
+      Vectors cut = {0.0f, 0.0f, 0.0f};
+      floatN way = 0.0f;
+#if CUT_FACES
+      cut.x = LOAD_LANES(queue->cut_x + at), cut.y = LOAD_LANES(queue->cut_y + at);
+      cut.z = LOAD_LANES(queue->cut_z + at), way = LOAD_LANES(queue->way + at);
+#endif
+      const Vectors normal = shown_normal(scene, gradients[j], cut, way);
+      const intN lit = MASK(at + LANE_INDEX < entries) & MASK(dot3(normal, normal) > 0.5f);
+      color = shaded_color(scene, color, opacity, place, normal, gradients[j], view, opacity, 0, lit, counted);
+#endif
+#if DEPTH_CUE
+      color = cued_color(scene, color, opacity, LOAD_LANES(queue->entry_depth + at) + LOAD_LANES(queue->way + at));
+#endif
+      STORE_LANES(color.x, queue->r + at), STORE_LANES(color.y, queue->g + at), STORE_LANES(color.z, queue->b + at);
+    }
+  }
+  _Pragma("unroll 1") for (int k = 0; k < entries; ++k) {
+    const int pixel = (int)queue->pixel[k];
+    float *rgba = packets[pixel / LANES].rgba + 4 * (pixel % LANES);
+    rgba[0] += queue->r[k], rgba[1] += queue->g[k], rgba[2] += queue->b[k];
+  }
+  queue->count = 0;
+}
+
+#if CONSTANT_CELLS
+/* Where the field is constant: there is no gradient, and nothing to light. */
+INLINE intN is_constant(const Scene *scene, const PixelPacket *p, floatN t)
+{
+  __constant const View *view = scene->view;
+  const int shift = view->cell_shift;
+  const floatN zero = 0.0f;
+  const floatN x = LOAD_LANES(p->x0) + t * LOAD_LANES(p->dx), y = LOAD_LANES(p->y0) + t * LOAD_LANES(p->dy);
+  const floatN z = LOAD_LANES(p->z0) + t * LOAD_LANES(p->dz);
+  const intN cx = min(TO_INT(lane_max(x, zero)) >> shift, (intN)(view->cells.x - 1));
+  const intN cy = min(TO_INT(lane_max(y, zero)) >> shift, (intN)(view->cells.y - 1));
+  const intN cz = min(TO_INT(lane_max(z, zero)) >> shift, (intN)(view->cells.z - 1));
+  const intN at = (cz * view->cells.y + cy) * view->cells.x + cx;
+  return MASK((gather1(scene->constant_distances, at) & 255u) != 0u);
+}
+#endif
+
+/* Composites the opacity of a segment whose middle is on slice `middle`, and queues its colours, of a packet of the
+ * tile's. `acc` has colours beside those that are queued. */
+INLINE void queue_lit(const Source *in, SegmentColor s, const PixelPacket *p, floatN middle, Gathered *acc, intN active,
+                      Tally *counted)
+{
+  const floatN part = select((floatN)0.0f, 1.0f - acc->a, active);
+  intN shows = active & MASK(s.a > 0.0f);
   if (!any_lane(shows)) return;
+  acc->a += part * select((floatN)0.0f, s.a, active);
+#if CONSTANT_CELLS
+  const intN plain = shows & is_constant(in->scene, p, middle);
+  const floatN plain_part = select((floatN)0.0f, part, plain);
+  acc->r += plain_part * s.r, acc->g += plain_part * s.g, acc->b += plain_part * s.b;
+  shows &= ~plain;
+  if (!any_lane(shows)) return;
+#endif
+  LightQueue *queue = in->queue;
+  if (queue->count > MOST_QUEUED - LANES) light_queue(in->scene, queue, in->packets, counted);
 #if LIGHTING
   count_lanes(&counted[COUNT_GRADIENTS], shows);
 #endif
-  hold_segment(held, acc, e, middle - LOAD_LANES(p->enter) - 0.5f, (floatN)1.0f, active, shows);
-}
-
-/* Lights all that is held, and composites it. By itself: inlined into both ways through a chunk it takes compilers long. */
-RARE void light_held(const Scene *scene, __constant const Pyramid *pyramid, HeldSegments *held, Gathered *acc,
-                     const PixelPacket *p, Tally *counted)
-{
-  const Rays ray = rays_of_packet(scene->view, p);
-  composite_held(scene, held, acc, &ray, inner_span(scene->view, &ray), packet_forward(scene, &ray),
-                 packet_cut_normal(scene, pyramid, p), counted);
+  queue_segment(in->scene, in->pyramid, queue, s, p, (int)(p - in->packets), middle, part, shows);
 }
 
 #else

@@ -6,7 +6,7 @@
 #include "lanes.h"
 #include "pyramid.h"
 
-typedef struct {
+typedef struct PixelPacket {
   float x0[LANES], y0[LANES], z0[LANES], dx[LANES], dy[LANES], dz[LANES]; /* rays by slices */
   float enter[LANES], leave[LANES];
   float distance[LANES];                                                  /* wanted when it was last looked */

@@ -74,10 +74,6 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
   const float h = view->step;
   Gathered acc;
   int shows = 0; /* whether `acc` is needed */
-#if EFFECTS && HELD_LIGHT
-  HeldSegments held;
-  held.segments = held.entries = 0;
-#endif
   /* A packet that was sampled on the last slice mostly is on the next ones: all of them are fetched at once, since a
    * fetch from beyond the first caches takes longer than all else about a sample. */
   FetchedPlace ahead[CHUNK];
@@ -138,14 +134,19 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
       floatN front = value1, back = value;
       shift_uneven_ends(value2, &front, &back, select(one, t1 - t2, curved), long_, curved);
       if (may_be_visible(lane_min(front, back), lane_max(front, back), closes, view)) {
+#if HELD_LIGHT
+        if (!shows) acc.r = acc.g = acc.b = 0.0f;
+        acc.a = opacity;
+#else
         if (!shows) gathered_load(&acc, p->rgba);
+#endif
         shows = 1;
 #if EFFECTS
         SegmentColor color = color_of_segment(front, back, long_ * view->step_units, closes,
                                               scene_pieces(table, (intN)0, view));
         const floatN middle = t1 + 0.5f * long_;
 #if HELD_LIGHT
-        hold_lit(&held, &acc, color, p, middle, closes, EFFECT_TALLIES(counted));
+        queue_lit(in, color, p, middle, &acc, closes, EFFECT_TALLIES(counted));
 #else
         const floatN depth = light_segment(in->scene, in->pyramid, &color, p, middle, 1.0f - acc.a, closes,
                                            EFFECT_TALLIES(counted));
@@ -171,10 +172,14 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
   STORE_LANES(value1, p->value1), STORE_LANES(value2, p->value2), STORE_LANES(t1, p->t1), STORE_LANES(t2, p->t2);
   STORE_LANES(first, p->first), STORE_LANES(second, p->second), STORE_LANES(alive, p->alive);
   if (shows) {
-#if EFFECTS && HELD_LIGHT
-    if (held.segments) light_held(in->scene, in->pyramid, &held, &acc, p, EFFECT_TALLIES(counted));
+#if CONSTANT_CELLS && HELD_LIGHT
+    Gathered before;
+    gathered_load(&before, p->rgba);
+    acc.r += before.r, acc.g += before.g, acc.b += before.b;
 #endif
+#if CONSTANT_CELLS || !HELD_LIGHT
     gathered_store(&acc, p->rgba);
+#endif
     STORE_LANES(opacity, p->opacity);
   }
   return any_lane(alive);

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from clvol.device.effect_switches import effect_switches
 from clvol.device.empty_space import distance_map
 from clvol.device.volume import DeviceVolume
 from clvol.features import reduced_for_frames
@@ -15,9 +16,11 @@ from clvol.integrators.pyramid.march import (
 )
 from clvol.integrators.pyramid.oracles import oracle_named
 from clvol.integrators.raycast.caster import Raycaster, lanes_of
+from clvol.integrators.raycast.constant_cells import uses_constant_cells
 from clvol.integrators.raycast.switches import raycast_switches
 from clvol.opencl.context import DeviceContext
 from clvol.scene.resolve import ResolvedScene
+from clvol.transfer import TransferFunction
 
 
 class PyramidCaster(Raycaster):
@@ -40,6 +43,9 @@ class PyramidCaster(Raycaster):
         march = SliceMarch(oracle, lanes, workers, tile, leap)
         super().__init__(context, resolved, lanes=lanes, tile=(tile, tile), volume=volume, march=march)
 
+    def _follow_data(self) -> None:
+        self.switches |= constant_switches(self.resolved, self.lanes, self.function)
+
     def _build_shadows(self) -> None:
         """The rays of a light volume leap by the ray caster's map, not by that of the slices."""
         of_slices = getattr(self, "distances", None)
@@ -55,4 +61,14 @@ def pyramid_switches(resolved: ResolvedScene, lanes: int) -> dict[str, int]:
     march = {
         **march_switches(oracle_named(resolved.pyramid.oracle), workers_for(lanes)), **cut_face_switches(resolved)
     }  # fmt: skip
-    return {**raycast_switches(without_clips(resolved), lanes=lanes), **march}
+    resolved = without_clips(resolved)
+    return {**raycast_switches(resolved, lanes=lanes), **constant_switches(resolved, lanes), **march}
+
+
+def constant_switches(
+    resolved: ResolvedScene, lanes: int, function: TransferFunction | None = None
+) -> dict[str, int]:
+    """The switch (-D) of a reduced scene, or with ``function`` in place of its own, of which enough is constant to look
+    for it before light is."""
+    effects = effect_switches(resolved)
+    return {"CONSTANT_CELLS": 1} if lanes > 1 and effects and uses_constant_cells(resolved, effects, function) else {}
