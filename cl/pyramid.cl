@@ -31,7 +31,7 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
   const Scene scene = SCENE;
 #if HELD_LIGHT
   LightQueue queue;
-  queue.count = 0;
+  queue.count = queue.segments = 0;
 #endif
 #else
   const Source source = {volume, view, pyramid, map};
@@ -117,7 +117,11 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
     for (int q = 0; q < PACKETS; ++q) {
       const int p = q * WORKERS + WORKER;
 #if HELD_LIGHT
-      EACH_LANE(k) packets[q].rgba[4 * k + 3] = packets[q].opacity[k];
+      EACH_LANE(k)
+      {
+        const PixelPacket *done = &packets[q];
+        vstore4((float4)(done->r[k], done->g[k], done->b[k], done->opacity[k]), k, packets[q].rgba);
+      }
 #endif
 #if ENVIRONMENT_VISIBLE
       show_behind(&source, &packets[q], left + p % PACKETS_IN_ROW * PACKET_W, top + p / PACKETS_IN_ROW * PACKET_H);

@@ -78,20 +78,22 @@ INLINE Vectors packet_cut_normal(const Scene *scene, __constant const Pyramid *p
 /* Segments of any packets of the tile, one an entry, whose opacity is composited: what their colour counts for is in it. */
 #define QUEUED_VECTORS 32
 #define MOST_QUEUED (LANES * QUEUED_VECTORS)
+#define QUEUE_ROOM (MOST_QUEUED + LANES) /* whole vectors are stored and loaded at any entry */
 typedef struct LightQueue {
-  int count;
-  float x[MOST_QUEUED], y[MOST_QUEUED], z[MOST_QUEUED];                /* the middle of the segment, lattice */
-  float along_x[MOST_QUEUED], along_y[MOST_QUEUED], along_z[MOST_QUEUED]; /* the ray's direction, local */
-  float r[MOST_QUEUED], g[MOST_QUEUED], b[MOST_QUEUED], opacity[MOST_QUEUED];
-  float pixel[MOST_QUEUED];                                            /* LANES times the packet's number, plus the lane */
+  int count, segments;
+  uint lanes[MOST_QUEUED]; /* of a segment: those that have an entry, as bits, */
+  int packet[MOST_QUEUED]; /* and the number of its packet */
+  float x[QUEUE_ROOM], y[QUEUE_ROOM], z[QUEUE_ROOM];                /* the middle of the segment, lattice */
+  float along_x[QUEUE_ROOM], along_y[QUEUE_ROOM], along_z[QUEUE_ROOM]; /* the ray's direction, local */
+  float r[QUEUE_ROOM], g[QUEUE_ROOM], b[QUEUE_ROOM], opacity[QUEUE_ROOM];
 #if DEPTH_CUE || CUT_FACES
-  float way[MOST_QUEUED]; /* edges from where the ray enters */
+  float way[QUEUE_ROOM]; /* edges from where the ray enters */
 #endif
 #if DEPTH_CUE
-  float entry_depth[MOST_QUEUED];
+  float entry_depth[QUEUE_ROOM];
 #endif
 #if CUT_FACES
-  float cut_x[MOST_QUEUED], cut_y[MOST_QUEUED], cut_z[MOST_QUEUED];
+  float cut_x[QUEUE_ROOM], cut_y[QUEUE_ROOM], cut_z[QUEUE_ROOM];
 #endif
 } LightQueue;
 
@@ -103,6 +105,7 @@ INLINE void queue_segment(const Scene *scene, __constant const Pyramid *pyramid,
   const int at = queue->count;
   const floatN dx = LOAD_LANES(p->dx), dy = LOAD_LANES(p->dy), dz = LOAD_LANES(p->dz);
   queue->count = at + popcount(bits);
+  queue->lanes[queue->segments] = bits, queue->packet[queue->segments++] = number;
   pack_lanes(LOAD_LANES(p->x0) + middle * dx, bits, queue->x + at);
   pack_lanes(LOAD_LANES(p->y0) + middle * dy, bits, queue->y + at);
   pack_lanes(LOAD_LANES(p->z0) + middle * dz, bits, queue->z + at);
@@ -112,7 +115,6 @@ INLINE void queue_segment(const Scene *scene, __constant const Pyramid *pyramid,
   pack_lanes(forward.z, bits, queue->along_z + at);
   pack_lanes(part * s.r, bits, queue->r + at), pack_lanes(part * s.g, bits, queue->g + at);
   pack_lanes(part * s.b, bits, queue->b + at), pack_lanes(part * s.a, bits, queue->opacity + at);
-  pack_lanes((float)(LANES * number) + TO_FLOAT((intN)LANE_INDEX), bits, queue->pixel + at);
 #if DEPTH_CUE || CUT_FACES
   const floatN enter = LOAD_LANES(p->enter);
   pack_lanes((middle - enter) * scene->view->step, bits, queue->way + at);
@@ -177,16 +179,11 @@ INLINE void queued_gradients(const Scene *scene, const LightQueue *queue, int k,
 RARE void light_queue(const Scene *scene, LightQueue *queue, PixelPacket *packets, Tally *counted)
 {
   const int entries = queue->count;
+  if (!entries) return;
   const floatN zero = 0.0f;
   /* What is behind the last entry needs a place. */
-  if (entries < MOST_QUEUED) {
-    const int last = entries & -LANES;
-    const intN beyond = MASK(last + LANE_INDEX >= entries);
-    STORE_LANES(select(LOAD_LANES(queue->x + last), zero, beyond), queue->x + last);
-    STORE_LANES(select(LOAD_LANES(queue->y + last), zero, beyond), queue->y + last);
-    STORE_LANES(select(LOAD_LANES(queue->z + last), zero, beyond), queue->z + last);
-    STORE_LANES(select(LOAD_LANES(queue->opacity + last), zero, beyond), queue->opacity + last);
-  }
+  STORE_LANES(zero, queue->x + entries), STORE_LANES(zero, queue->y + entries), STORE_LANES(zero, queue->z + entries);
+  STORE_LANES(zero, queue->opacity + entries);
   _Pragma("unroll 1") for (int k = 0; k < entries; k += LANES * TOGETHER) {
     const int count = min((entries - k + LANES - 1) / LANES, TOGETHER);
 #if LIGHTING
@@ -217,12 +214,16 @@ RARE void light_queue(const Scene *scene, LightQueue *queue, PixelPacket *packet
       STORE_LANES(color.x, queue->r + at), STORE_LANES(color.y, queue->g + at), STORE_LANES(color.z, queue->b + at);
     }
   }
-  _Pragma("unroll 1") for (int k = 0; k < entries; ++k) {
-    const int pixel = (int)queue->pixel[k];
-    float *rgba = packets[pixel / LANES].rgba + 4 * (pixel % LANES);
-    rgba[0] += queue->r[k], rgba[1] += queue->g[k], rgba[2] += queue->b[k];
+  int at = 0;
+  _Pragma("unroll 1") for (int k = 0; k < queue->segments; ++k) {
+    const uint bits = queue->lanes[k];
+    PixelPacket *p = packets + queue->packet[k];
+    STORE_LANES(LOAD_LANES(p->r) + unpack_lanes(queue->r + at, bits), p->r);
+    STORE_LANES(LOAD_LANES(p->g) + unpack_lanes(queue->g + at, bits), p->g);
+    STORE_LANES(LOAD_LANES(p->b) + unpack_lanes(queue->b + at, bits), p->b);
+    at += popcount(bits);
   }
-  queue->count = 0;
+  queue->count = queue->segments = 0;
 }
 
 #if CONSTANT_CELLS

@@ -15,6 +15,9 @@ typedef struct PixelPacket {
   int first[LANES], second[LANES];                                        /* no sample yet, or only one */
   int alive[LANES];
   float rgba[4 * LANES], opacity[LANES];
+#if HELD_LIGHT
+  float r[LANES], g[LANES], b[LANES]; /* in place of `rgba` until the end: colours come out of a queue */
+#endif
 #if CUT_FACES
   int cut[LANES];                                                         /* by which half-space a ray enters, or -1 */
 #endif

@@ -44,6 +44,9 @@ int prepare_packet(__constant const View *view, __constant const Pyramid *pyrami
   p->half_ = no_half();
 #endif
   for (int k = 0; k < 4 * LANES; ++k) p->rgba[k] = 0.0f;
+#if HELD_LIGHT
+  STORE_LANES(zero, p->r), STORE_LANES(zero, p->g), STORE_LANES(zero, p->b);
+#endif
   return any_lane(alive);
 }
 
@@ -172,13 +175,11 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
   STORE_LANES(value1, p->value1), STORE_LANES(value2, p->value2), STORE_LANES(t1, p->t1), STORE_LANES(t2, p->t2);
   STORE_LANES(first, p->first), STORE_LANES(second, p->second), STORE_LANES(alive, p->alive);
   if (shows) {
-#if CONSTANT_CELLS && HELD_LIGHT
-    Gathered before;
-    gathered_load(&before, p->rgba);
-    acc.r += before.r, acc.g += before.g, acc.b += before.b;
-#endif
-#if CONSTANT_CELLS || !HELD_LIGHT
+#if !HELD_LIGHT
     gathered_store(&acc, p->rgba);
+#elif CONSTANT_CELLS
+    STORE_LANES(LOAD_LANES(p->r) + acc.r, p->r), STORE_LANES(LOAD_LANES(p->g) + acc.g, p->g);
+    STORE_LANES(LOAD_LANES(p->b) + acc.b, p->b);
 #endif
     STORE_LANES(opacity, p->opacity);
   }
