@@ -75,6 +75,8 @@ class Tile:
 TILES = (
     Tile("engine-lit", "Lit volume", "Three lights and their highlights, in translucent metal.",
          "specular", "[[light]], [material]"),
+    Tile("engine-spots", "Spot lights and a slide", "Two spots, and a picture that is projected on an engine, with "
+         "shadows.", "spot lights", '[[light]] type = "spot", "image"'),
     Tile("heptane-peaks", "Narrow peaks, pre-integrated and shaded",
          "Three shells, each a thirtieth of the range wide: none is missed.",
          "lighting", '[integration] classification = "preintegrated"'),

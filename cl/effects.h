@@ -102,6 +102,16 @@ typedef struct {
 #define COUNT_BENDS 7            /* rays refracted or reflected */
 #define EFFECT_COUNTERS 8
 
+/* Items of a light (shade.h): more where lights are aimed (aimed_lights.h); and whether it shines from a place, by the
+ * first of them. */
+#if AIMED_LIGHTS
+#define LIGHT_ROWS 6
+INLINE int light_has_place(float4 light) { return light.w == LIGHT_POINT || light.w >= LIGHT_SPOT; }
+#else
+#define LIGHT_ROWS 2
+INLINE int light_has_place(float4 light) { return light.w == LIGHT_POINT; }
+#endif
+
 /* Floats per point of a light volume. */
 #define LIGHT_CHANNELS (SCATTERING ? 4 : 1)
 

@@ -87,6 +87,8 @@
 #define LIGHT_DIRECTIONAL 0
 #define LIGHT_POINT 1
 #define LIGHT_HEADLIGHT 2
+#define LIGHT_SPOT 3
+#define LIGHT_IMAGE 4
 
 /* Kinds of clips (clip.h). */
 #define CLIP_PLANE 0

@@ -46,10 +46,10 @@ __kernel WIDE_VECTORS void light_volume(SCENE_PARAMETERS, __global const float4 
                          TO_FLOAT(y) * (view->upper.y / (float)(size.y - 1)),
                          TO_FLOAT(z) * (view->upper.z / (float)(size.z - 1))};
   const Vectors here = to_local(effects, place.x, place.y, place.z);
-  const float4 at = items[effects->first_light + 2 * light];
+  const float4 at = items[effects->first_light + LIGHT_ROWS * light];
   const floatN reach = distance_to_light(at, here);
   Vectors towards = broadcast3(at);
-  if (at.w == LIGHT_POINT) {
+  if (light_has_place(at)) {
     const Vectors way = {at.x - here.x, at.y - here.y, at.z - here.z};
     towards = unit3(way);
   }

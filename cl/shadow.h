@@ -285,7 +285,7 @@ INLINE floatN depth_towards(const Scene *scene, Vectors place, Vectors direction
 /* How far it is to a light, in edges, from a local place. */
 INLINE floatN distance_to_light(float4 light, Vectors here)
 {
-  if (light.w != LIGHT_POINT) return (floatN)INFINITY;
+  if (!light_has_place(light)) return (floatN)INFINITY;
   const Vectors way = {light.x - here.x, light.y - here.y, light.z - here.z};
   return sqrt(dot3(way, way));
 }

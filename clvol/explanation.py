@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from clvol.device.aimed_lights import load_images
 from clvol.device.environment_file import load_radiance
 from clvol.features.analysis import effects, reduced
 from clvol.features.compression import explained
@@ -35,6 +36,7 @@ def explain(resolved: ResolvedScene) -> dict[str, Any]:
     """
     check_scene(resolved)
     _read_environment(reduced(resolved).environment)
+    load_images(reduced(resolved).lights)
     listed = [
         {"name": e.name, "called_for": e.called_for, "reason": e.reason} for e in effects(resolved)
     ]

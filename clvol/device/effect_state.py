@@ -10,6 +10,7 @@ import copy
 
 import numpy as np
 
+from clvol.device.aimed_lights import aimed_rows, has_aimed, load_images, share_towards
 from clvol.device.effect_switches import effect_switches
 from clvol.device.environment import environment_maps
 from clvol.device.environment_file import load_radiance
@@ -79,13 +80,13 @@ class EffectState:
         }  # fmt: skip
         self.arrays: dict[str, DeviceArray] = none
         self.fields: SceneFields | None = None
+        self._images = load_images(resolved.lights)
         self._fill(resolved, volume)
         self._add_factors(resolved, volume)
         if self.switches.get("GRADIENT") == GRADIENTS["precomputed"]:
             gradients, scale = volume.gradients(resolved.gradient.operator)
             self.arrays["gradients"], self.numbers["gradient_scale"] = gradients, scale
-        if resolved.environment is not None:
-            self._add_environment(resolved.environment, resolved.material.shininess)
+        self._add_environment(resolved.environment, resolved.material.shininess)
         if resolved.noise:
             self.arrays["noise"] = context.upload(device_tiles(resolved.noise))
             self._fill_noise(resolved)
@@ -147,13 +148,20 @@ class EffectState:
         if any(table.size for table in tables):
             self.arrays["factors"] = self.context.upload(np.concatenate(tables))
 
-    def _add_environment(self, table: Environment, shininess: float) -> None:
+    def _add_environment(self, table: Environment | None, shininess: float) -> None:
+        """The maps of the environment, after the pictures that lights project."""
+        texels = self._images.texels
+        if table is None:
+            if len(texels):
+                self.arrays["environment"] = self.context.upload(texels)
+            return
         radiance = load_radiance(table.path, table.layout, table.intensity, table.rotation_degrees)
         maps = environment_maps(radiance, shininess, sky=table.visible)
-        self.arrays["environment"] = self.context.upload(maps.nodes)
+        nodes = np.concatenate([texels, maps.nodes]) if len(texels) else maps.nodes
+        self.arrays["environment"] = self.context.upload(nodes)
         places = {"diffuse": maps.diffuse, "specular": maps.specular, "sky": maps.sky or maps.diffuse}
         for name, place in places.items():
-            self.numbers[f"{name}_map_size"], self.numbers[f"{name}_map"] = place.size, place.offset
+            self.numbers[f"{name}_map_size"], self.numbers[f"{name}_map"] = place.size, place.offset + len(texels)
 
     def _fill_noise(self, resolved: ResolvedScene) -> None:
         """The terms at ``animation.time``."""
@@ -220,24 +228,27 @@ class EffectState:
     def _items(
         self, resolved: ResolvedScene, values: ValueMap
     ) -> tuple[list[Row], list[Row], list[Row]]:
-        """Lights, iso-surfaces and clips, in two and three rows each."""
+        """Lights, iso-surfaces and clips, in two (or, of aimed lights, more) and three rows each."""
         space = self.space
         lights: list[Row] = []
         surfaces: list[Row] = []
         clips: list[Row] = []
-        casting = casting_lights(resolved)
+        casting, aimed = casting_lights(resolved), has_aimed(resolved.lights)
         for number, light in enumerate(resolved.lights):
             at = np.zeros(3)
             if light.type == "directional":
                 at = -unit_vector(np.asarray(light.direction, np.float64))
-            kind = LIGHTS[light.type]
-            if light.type == "point":
+            kind, color = LIGHTS[light.type], np.asarray(light.color) * light.intensity
+            if light.has_position:
                 at = space.point(np.asarray(light.position, np.float64))
                 if np.abs(at).max() > _FAR:
                     at, kind = unit_vector(at), LIGHTS["directional"]
+                    color = color * share_towards(light, self._images, -at) if light.is_aimed else color
             lights.append((*at, kind))
             volume = casting.index(number) if number in casting else -1.0
-            lights.append((*(np.asarray(light.color) * light.intensity), volume))
+            lights.append((*color, volume))
+            if aimed:
+                lights += aimed_rows(light, self._images)
         for surface in sorted(resolved.isosurfaces, key=lambda s: s.value):
             level = float(values(surface.value))
             depth = -np.log1p(-surface.opacity) if surface.opacity < 1 else OPAQUE_DEPTH

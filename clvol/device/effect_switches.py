@@ -6,6 +6,7 @@ from it, so they are not compiled.
 
 from __future__ import annotations
 
+from clvol.device.aimed_lights import has_aimed
 from clvol.device.fields import field_switches
 from clvol.device.gradients import gradient_switch
 from clvol.device.light_volume import shadow_switches
@@ -35,6 +36,7 @@ def effect_switches(
     switches = {
         "LIGHTING": int(lit),
         "LIGHTS": int(bool(resolved.lights)),
+        **({"AIMED_LIGHTS": 1} if lit and has_aimed(resolved.lights) else {}),
         "SPECULAR": int(lit and resolved.material.specular > 0),
         "ISOSURFACES": int(bool(surfaces)),
         "REFRACTION": int(refracts),

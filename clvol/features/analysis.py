@@ -42,6 +42,8 @@ NAMES = (
     "prefilter",
     "lighting",
     "specular",
+    "spot lights",
+    "image lights",
     "environment",
     "environment background",
     "shadows",

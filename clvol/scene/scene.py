@@ -292,6 +292,8 @@ class Scene(SceneTables):
         self.load_fields(memory_cap)
         if self.environment is not None:
             self.environment.found_in(self._folder, self._origin, memory_cap)
+        for number, light in enumerate(self.light):
+            light.found_in(self._folder, self._origin, number)
 
     def load_fields(self, memory_cap: int | None = None) -> tuple[Volume, ...]:
         """The volumes of the fields, each read once and kept.
@@ -363,9 +365,9 @@ class Scene(SceneTables):
 
     @property
     def input_paths(self) -> list[Path]:
-        """The files and folders that the scene names: volume, fields and their label tables, environment, transfer
-        function."""
-        named = [*self.field, *self.channel, self.environment, self.transfer_function]
+        """The files and folders that the scene names: volume, fields and their label tables, environment, what
+        lights project, transfer function."""
+        named = [*self.field, *self.channel, self.environment, *self.light, self.transfer_function]
         files = [getattr(table, "file", None) for table in named] + [field.labels_file for field in self.field]
         files += named_files(getattr(self.volume, "file", None), self._folder)
         return [self._folder / file for file in files if isinstance(file, str) and not is_url(file)]

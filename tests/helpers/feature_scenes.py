@@ -12,6 +12,7 @@ ARRAY = waves((8, 9, 10), np.uint8)  # 0 to 255
 VOLUME = Volume(ARRAY)
 WHITE = [1.0, 1.0, 1.0]
 SUN = {"type": "directional", "direction": (0, 0, 1)}
+SPOT = {"type": "spot", "position": (5, 5, -9), "direction": (0, 0, 1)}
 CLEAR = TransferFunction([0, 255, 400], [0, 0, 1], [WHITE] * 3)  # transparent over 0 to 255
 LABELS = Volume((ARRAY > 128).astype(np.uint8))
 
@@ -37,6 +38,7 @@ CALLED = [
      ["lighting", "specular", "shadows", "gradients"]),
     ({"light": [SUN], "shadow": {"scattering": 0.4}},
      ["lighting", "specular", "shadows", "scattering", "gradients"]),
+    ({"light": [SPOT]}, ["lighting", "specular", "spot lights", "gradients"]),
     ({"isosurface": [{"value": 100.0}]}, ["isosurfaces"]),
     ({"isosurface": [{"value": 100.0, "opacity": 0.0, "refraction": 1.5}]},
      ["isosurfaces", "refraction", "gradients"]),
@@ -85,6 +87,11 @@ IDLE = [
     ({"light": [SUN], "shadow": {}}, "scattering", "scattering is 0"),
     ({"light": [SUN], "shadow": {"scattering": 0.5, "scatter_color": (0, 0, 0), "cone_degrees": 0}},
      "scattering", "the cone is 0"),
+    ({"light": [SUN]}, "spot lights", "the scene has no spot light"),
+    ({"light": [SUN]}, "image lights", "the scene has no image light"),
+    ({"light": [SUN, SPOT | {"cone_degrees": 180.0, "penumbra": 0.0}]}, "spot lights", "in all directions alike"),
+    ({"light": [SPOT], "material": {"diffuse": 0, "specular": 0}}, "spot lights", "diffuse and specular are 0"),
+    ({"light": [SPOT | {"cone_degrees": 0.0}]}, "spot lights", "a spot whose cone is 0"),
     ({"isosurface": [{"value": 300.0}]},
      "isosurfaces", "iso-value 300 lies outside the data's range 0 to 255"),
     ({"isosurface": [{"value": 3.0, "opacity": 0.0}]}, "isosurfaces", "at 3 is transparent"),

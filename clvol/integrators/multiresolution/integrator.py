@@ -33,8 +33,8 @@ _KEYS = {
     "voxel_precision": ("stored",),
 }
 _EFFECTS = PLAIN | {
-    "clipping", "lighting", "specular", "environment", "environment background", "gradients", "depth cueing",
-    "isosurfaces",
+    "clipping", "lighting", "specular", "spot lights", "image lights", "environment", "environment background",
+    "gradients", "depth cueing", "isosurfaces",
 }  # fmt: skip
 _BUDGETS = 2  # volumes and budgets whose blocks stay resident: they hold all the memory
 

@@ -33,6 +33,8 @@ CLIPS = [
 ]
 LIT = {"light": list(LIGHTS), "material": MATERIAL, "gradient": {"storage": "on-the-fly"}}
 CUE = {"depth_cue": {"start": 60.0, "end": 130.0, "strength": 0.7, "color": [0.1, 0.3, 0.5]}}
+SPOTS = [{"type": "spot", "position": [10.0, -60.0, -40.0], "direction": [0.2, 1.0, 0.8], "cone_degrees": 20.0 + k,
+          "penumbra": 0.7, "intensity": 1.0 + k} for k in range(2)]  # fmt: skip
 ALL = {"clip": CLIPS, **LIT, **CUE}
 SURFACES = {
     "isosurface": [
@@ -84,10 +86,12 @@ def test_pictures_are_the_twins(context, classification, tables):
     assert expected[..., 3].max() > 0.3
 
 
-def test_each_light_counts(context):
-    """Two scenes of different light are not the same picture, and neither is the unlit one."""
+@pytest.mark.parametrize("lights", [LIGHTS[:2], pytest.param(SPOTS, marks=pytest.mark.slow)], ids=["", "spots"])
+def test_each_light_counts(context, lights):
+    """Two scenes of different light are not the same picture, and neither is the unlit one. (Spots compile a program
+    of their own.)"""
     volume, levels = smooth(), random_levels(BlockGrid(SHAPE), 5)
-    lit = [scene(volume, **{**ALL, "light": [light]}) for light in LIGHTS[:2]]
+    lit = [scene(volume, **{**ALL, "light": [light]}) for light in lights]
     pictures = [rendered(context, each, levels).rgba for each in lit]
     assert np.abs(pictures[0] - pictures[1]).max() > 0.05
     for each, picture in zip(lit, pictures):
