@@ -1,6 +1,7 @@
 /* Light on what the picture's pixels composite (pyramid_pixels.h): gradients in the middle of segments, of whatever length
  * these are, by the reconstruction that the ray caster has. None of them is synthesised: where samples are dense a picture
- * has the ray caster's light.
+ * has the ray caster's light. Oracles know of light only what it makes of an error of colours; how much it changes along a
+ * segment is not looked at (clvol/README.md, "Pyramid", has what that costs).
  *
  * In a chunk of slices few segments of a packet show, and light is a chain of operations that wait for each other
  * (lit_entries.h). So segments of all packets of a tile are queued, packed, where that is one instruction and nothing

@@ -61,6 +61,7 @@ class Pyramid(WholeVolume):
             expected = "planes and boxes that keep what is inside, 16 planes in all, or the method 'raycast'"
             raise SceneError(f"{origin}: clip", what, expected)
         refuse_effects(resolved, "integration.method", self.name, "raycast", _EFFECTS)
+        _check_shadows(resolved)
         refuse_quadrature(resolved)
         check_resident(resolved)
 
@@ -86,6 +87,19 @@ class Pyramid(WholeVolume):
         if (bricks := bricks_for(shared, resolved)) is not None:
             return BrickPyramidCaster(shared.context, resolved, bricks)
         return PyramidCaster(shared.context, resolved, volume=device_volume(shared, resolved))
+
+
+def _check_shadows(resolved: ResolvedScene) -> None:
+    """SceneError for shadows that need rays of their own, and for those of what is clipped."""
+    scene = reduced_for_frames(resolved)
+    if scene.shadow is None:
+        return
+    if scene.shadow.method == "rays":
+        what = "got 'rays' with the method 'pyramid', whose maps of empty space are not those of shadow rays"
+        raise SceneError(f"{resolved.origin}: shadow.method", what, "'volume', or the method 'raycast'")
+    if scene.clips:
+        what = "got 'pyramid' in a scene with clips and shadows, of which its light volume would know none"
+        raise SceneError(f"{resolved.origin}: integration.method", what, "'raycast', or a scene without one of them")
 
 
 INTEGRATOR = Pyramid()

@@ -153,7 +153,7 @@ class SliceMarch:
             view=caster.volume_view(),
             switches={name: caster.switches[name] for name in _OF_VOXELS}
             | {"WARPED_CLASSES": int(caster.nodes.warp is not None)},
-            epsilon=scene.pyramid.epsilon,
+            epsilon=scene.pyramid.epsilon / brightest(scene),
             opacity_edges=grid.smallest_edge / function.opacity_unit,
             shift=shift,
             edges=(float(spacing[0]), float(spacing[1]), float(spacing[2])),
@@ -198,6 +198,15 @@ def _check_slices(scene: ResolvedScene, camera: Camera, length: float) -> None:
 def without_clips(resolved: ResolvedScene) -> ResolvedScene:
     """The scene for the caster: the march handles clips itself."""
     return replace(resolved, clips=()) if resolved.clips else resolved
+
+
+def brightest(resolved: ResolvedScene) -> float:
+    """How many times as large an error of a reduced scene's colours may be under its lights as without, at least 1."""
+    if not is_lit(resolved):
+        return 1.0
+    material = resolved.material
+    arriving = sum((light.intensity * np.asarray(light.color, np.float64) for light in resolved.lights), np.zeros(3))
+    return max(1.0, material.ambient + (material.diffuse + material.specular) * float(arriving.max()))
 
 
 def cut_face_switches(resolved: ResolvedScene) -> dict[str, int]:
