@@ -28,18 +28,18 @@ INLINE void axes_across(Vectors axis, Vectors *u, Vectors *v)
 /* cone     float4 [1 + directions]: (1 - colour, directions), then unit vectors about +z, w 0
  * arrives  float [points of all lights, LIGHT_CHANNELS]: rgb, or one number without scattering
  * samples  uint [work-items]: reconstructions of the volume
- * light    number of the light among all; index: among those that cast shadows; first: point of this launch
+ * light    which one of all lights; number: which one among those that cast shadows; first: point of this launch
  */
 __kernel WIDE_VECTORS void light_volume(SCENE_PARAMETERS, __global const float4 *restrict cone,
-                                        int light, int index, int first, __global float *restrict arrives,
+                                        int light, int number, int first, __global float *restrict arrives,
                                         __global uint *restrict samples)
 {
   const int4 size = effects->light_size;
   const int points = size.x * size.y * size.z, item = get_global_id(0) + first / LANES;
   if (item * LANES >= points) return;
+  Tally counted[SCENE_COUNTERS] = {0};
   const Scene scene_ = SCENE;
   const Scene *scene = &scene_;
-  Tally counted[SCENE_COUNTERS] = {0};
   const intN point = min(item * LANES + LANE_INDEX, (intN)(points - 1));
   const intN z = point / (size.x * size.y), y = point / size.x - z * size.y, x = point - (z * size.y + y) * size.x;
   const Vectors place = {TO_FLOAT(x) * (view->upper.x / (float)(size.x - 1)),
@@ -81,7 +81,7 @@ __kernel WIDE_VECTORS void light_volume(SCENE_PARAMETERS, __global const float4 
   {
     const int p = item * LANES + k;
     if (p >= points) continue;
-    __global float *out = arrives + ((size_t)index * points + p) * LIGHT_CHANNELS;
+    __global float *out = arrives + ((size_t)number * points + p) * LIGHT_CHANNELS;
     out[0] = r[k];
 #if SCATTERING
     out[1] = g[k], out[2] = b[k], out[3] = 0.0f;

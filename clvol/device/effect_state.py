@@ -50,8 +50,10 @@ from clvol.volume.voxel_layout import padded_size
 # The switch under which each counter counts anything, in the order of EFFECT_COUNTERS.
 _BY_RAYS = ("shadow_rays", "shadow_samples")  # counted only where the method of shadows is "rays"
 _COUNTED_BY = ("GRADIENT", "LIGHTING", "ISOSURFACES", "ISOSURFACES", "SHADOWS", "SHADOWS", "FIELDS", "REFRACTION")
+_BEND = ("REFRACTION", "CURVED_RAYS")
 COUNTERS = dict(zip(EFFECT_COUNTERS, _COUNTED_BY, strict=True))
 OPAQUE_DEPTH = 1e15  # optical depth of an opaque surface; finite, so that any share of it is opaque, too
+LONGEST_PATH = 8.0  # of rays that turn, in diagonals of the volume's bounding box
 _FAR = 1e12  # smallest edges: light from farther away has one direction in float32
 Row = tuple[float, ...]  # a float4 of the buffer `items`
 
@@ -142,8 +144,15 @@ class EffectState:
         if resolved.glow is not None:
             rows = glow_rows(resolved.glow, volume.values, reachable(resolved), self.space.unit)
             numbers["glow_points"], numbers["glow_table"] = rows.shape[1], place(rows)
+        if resolved.refraction is not None:
+            index = resolved.refraction
+            rows = np.stack([volume.values(index.values), index.indices]).astype(np.float32)
+            numbers["index_points"], numbers["index_table"] = rows.shape[1], place(rows)
+            corners = resolved.volume.grid.world_corners()
+            diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
+            numbers["longest_path"] = LONGEST_PATH * diagonal / self.space.unit
         if resolved.fields:
-            self.fields = SceneFields(self.context, resolved, volume.cells, place, numbers)
+            self.fields = SceneFields(self.context, resolved, volume.cells, place, numbers, volume.cell_layout)
             self.arrays["fields"] = self.fields.voxels
         if any(table.size for table in tables):
             self.arrays["factors"] = self.context.upload(np.concatenate(tables))
@@ -180,6 +189,12 @@ class EffectState:
         numbers["hidden_score"] = NO_SCORE
         if resolved.integration.compositing != "average":
             self.arrays["factors"] = self.context.upload(score_bounds(volume, resolved, moved))
+
+    def update_projection(self, resolved: ResolvedScene, volume: ResidentVolume) -> None:
+        """Bounds of the values of ``volume``, of which other parts are resident now."""
+        self.numbers = self.numbers.copy()
+        self._add_projection(resolved, volume)
+        self.arrays["effects"] = self.context.upload(self.numbers)
 
     def set_hidden(self, score: float) -> None:
         """Samples of at most this score show nothing."""
@@ -278,11 +293,14 @@ class EffectState:
     def counted(self, sums: dict[str, int]) -> dict[str, int]:
         """``sums`` by name, of COUNTERS only those that the scene's effects count."""
         by_volume = self.switches.get("SHADOWS") in (METHODS["volume"], METHODS["half-angle"])
-        return {
-            name: total
-            for name, total in sums.items()
-            if name not in COUNTERS or self.switches.get(COUNTERS[name]) and not (by_volume and name in _BY_RAYS)
-        }
+        bend = any(self.switches.get(switch) for switch in _BEND)
+
+        def counts(name: str) -> bool:
+            if by_volume and name in _BY_RAYS:
+                return False
+            return bend if name == "bends" else bool(self.switches.get(COUNTERS[name]))
+
+        return {name: total for name, total in sums.items() if name not in COUNTERS or counts(name)}
 
 
 def _clip_rows(clip: Clip, space: LocalSpace) -> list[Row]:

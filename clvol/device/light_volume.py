@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from clvol.device.arguments import EFFECT_ARGUMENTS, scene_arguments
+from clvol.device.arguments import Arguments, scene_arguments
 from clvol.errors import SceneError
 from clvol.features.gradient_storage import DeviceLimits
 from clvol.features.vocabulary import SHADOW_METHODS as METHODS
@@ -26,7 +26,7 @@ _WORK_GROUP = 64
 _ARGUMENTS = (
     reads("cone", np.float32, 1 + CONE_DIRECTIONS, 4),
     value("light", np.int32),
-    value("index", np.int32),
+    value("number", np.int32),
     value("first", np.int32),
     writes("arrives", np.float32, "lights", "points", "channels"),
     writes("samples", np.uint32, "items"),
@@ -149,12 +149,14 @@ def fill_light_volume(
     resolved: ResolvedScene,
     switches: Mapping[str, int],
     view: np.ndarray,
+    variant: Arguments,
     arrays: Mapping[str, DeviceArray],
 ) -> tuple[DeviceArray, int]:
     """The light volumes of all lights that cast shadows, float32 [lights, z, y, x, channels], and
     how many samples of the volume that took.
 
-    ``switches``: the picture's. ``arrays``: those of the scene and its effects, by name.
+    ``switches``: the picture's. ``variant``: the declared arguments that follow the scene's. ``arrays``: those of the
+    scene and of the variant, by name.
     """
     lights, shadow = casting_lights(resolved), _shadow_of(resolved)
     size = light_size(resolved.volume.grid, shadow.resolution)
@@ -167,14 +169,14 @@ def fill_light_volume(
     cone = np.zeros((1 + CONE_DIRECTIONS, 4), np.float32)
     cone[0] = (*(1.0 - np.asarray(shadow.scatter_color)), CONE_DIRECTIONS)
     cone[1:, :3] = cone_directions(shadow.cone_degrees)
-    declared = scene_arguments(switches["VOXEL_BITS"]) + EFFECT_ARGUMENTS + _ARGUMENTS
+    declared = scene_arguments(switches["VOXEL_BITS"]) + variant + _ARGUMENTS
     kernel = context.kernel("light_volume.cl", "light_volume", declared, switches)
     given = {**arrays, "view": context.upload(view), "cone": context.upload(cone)}
     sizes = {"lights": len(lights), "points": points, "channels": channels, "items": items}
     rays = 1 + CONE_DIRECTIONS * switches["SCATTERING"]
     expected = points * rays * sum(resolved.volume.grid.size) / shadow_step(resolved)
     taken = 0
-    for index, light in enumerate(lights):
+    for number, light in enumerate(lights):
         for first, count in bands(items, expected * _SECONDS_A_SAMPLE, _BAND_SECONDS):
             kernel(
                 context.queue,
@@ -182,7 +184,7 @@ def fill_light_volume(
                 (group,),
                 sizes=sizes,
                 light=light,
-                index=index,
+                number=number,
                 first=first * lanes,
                 arrives=arrives,
                 samples=counts,

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from clvol.device import host_cells
+from clvol.device.fields import CellLayout
 from clvol.device.gradients import precompute
 from clvol.device.host_cells import done_on_host
 from clvol.device.memory import ValueMap, value_map, voxel_switches
@@ -53,6 +54,11 @@ class ResidentVolume:
     view_fields: dict[str, tuple[float, ...]] = {}  # (x, y, z) of members of ``View`` that are of this volume alone
     has_fine_bounds = False
     in_front: np.ndarray | None = None  # of a part of a volume, as in ``PartVolume``
+
+    @property
+    def cell_layout(self) -> CellLayout:
+        """Where the cells are."""
+        return CellLayout(1 << self.cell_shift)
 
     @property
     def value_range(self) -> tuple[float, float]:

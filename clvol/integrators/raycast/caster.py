@@ -191,11 +191,11 @@ class Raycaster:
 
     def _build_shadows(self) -> None:
         """Fills the light volume, where there is one. No camera changes it."""
-        arrays = self.effects.arrays
+        variant, arrays = self._sample_arguments
         if self.switches["SHADOWS"] == METHODS["volume"] and self.visible_share:
             view = self.volume_view()
-            arrays["light_volume"], self.light_volume_samples = fill_light_volume(
-                self.context, self.resolved, self.switches, view, {**self._scene_arrays(), **arrays}
+            self.effects.arrays["light_volume"], self.light_volume_samples = fill_light_volume(
+                self.context, self.resolved, self.switches, view, variant, {**self._scene_arrays(), **arrays}
             )
 
     def _scene_arrays(self) -> dict[str, DeviceArray]:
