@@ -80,6 +80,8 @@ TILES = (
     Tile("heptane-peaks", "Narrow peaks, pre-integrated and shaded",
          "Three shells, each a thirtieth of the range wide: none is missed.",
          "lighting", '[integration] classification = "preintegrated"'),
+    Tile("heptane-peaks", "Light at both ends", "The same, each segment lit at both ends, weighed by where it shows.",
+         "light at both ends", "[material] light_at", ('material.light_at="ends"',)),
     Tile("vismale-surfaces", "Iso-surfaces", "Skin and bone, their insides in other colours, in a "
          "translucent volume.", "isosurfaces", "[[isosurface]]"),
     Tile("teapot-glass", "Refraction", "Glass before a visible studio: rays bend where they cross "
@@ -94,6 +96,8 @@ TILES = (
          "scattering", "[shadow] scattering"),
     Tile("cloud", "Noise and sun", "An ellipsoid that noise stirs and frays, shadows and "
          "scattering in it.", "noise", "[[noise]]"),
+    Tile("cloud-iridescent", "Noise of attenuation", "Scattered light whose attenuation differs by noise, a colour at "
+         "a time: iridescence.", "attenuation noise", '[[noise]] target = "attenuation"'),
     Tile("heptane-glow", "Associated colours", "Flames that emit without hiding anything, in smoke that emits "
          "nothing.", "associated colours", "[transfer_function] associated, emission"),
     Tile("fireball", "Fireball, 0 s", "A radial field, two noises that move, colours that cycle.",
