@@ -75,6 +75,8 @@ class Tile:
 TILES = (
     Tile("engine-lit", "Lit volume", "Three lights and their highlights, in translucent metal.",
          "specular", "[[light]], [material]"),
+    Tile("engine-spots", "Spot lights and a slide", "Two spots, and a picture that is projected on an engine, with "
+         "shadows.", "spot lights", '[[light]] type = "spot", "image"'),
     Tile("heptane-peaks", "Narrow peaks, pre-integrated and shaded",
          "Three shells, each a thirtieth of the range wide: none is missed.",
          "lighting", '[integration] classification = "preintegrated"'),
@@ -82,6 +84,8 @@ TILES = (
          "translucent volume.", "isosurfaces", "[[isosurface]]"),
     Tile("teapot-glass", "Refraction", "Glass before a visible studio: rays bend where they cross "
          "the surface.", "refraction", "[[isosurface]] refraction"),
+    Tile("teapot-mirage", "Continuous refraction", "An index of refraction that grows with the value: rays bend all "
+         "along their way.", "continuous refraction", "[refraction]"),
     Tile("teapot-studio", "Environment light", "Irradiance and reflections of a studio's soft "
          "boxes, no other light.", "environment", "[environment]"),
     Tile("chest-shadows", "Shadows", "Rays to the light: ribs shade what lies below them.",
@@ -90,6 +94,8 @@ TILES = (
          "scattering", "[shadow] scattering"),
     Tile("cloud", "Noise and sun", "An ellipsoid that noise stirs and frays, shadows and "
          "scattering in it.", "noise", "[[noise]]"),
+    Tile("cloud-iridescent", "Noise of attenuation", "Scattered light whose attenuation differs by noise, a colour at "
+         "a time: iridescence.", "attenuation noise", '[[noise]] target = "attenuation"'),
     Tile("heptane-glow", "Associated colours", "Flames that emit without hiding anything, in smoke that emits "
          "nothing.", "associated colours", "[transfer_function] associated, emission"),
     Tile("fireball", "Fireball, 0 s", "A radial field, two noises that move, colours that cycle.",

@@ -130,10 +130,13 @@ typedef struct {
   floatN facing, cosine, aligned;
   intN lit, lightable, faces;
   Illumination light;
+#if AIMED_LIGHTS
+  Vectors share;
+#endif
 } EntryLight;
 
 /* Adds the light of one of the scene's to `count` vectors. */
-INLINE void add_light(const Scene *scene, float4 at, float4 intensity, const HeldSegments *held, int k, int count,
+INLINE void add_light(const Scene *scene, int item, float4 at, float4 intensity, const HeldSegments *held, int k, int count,
                       const Rays *ray, Vectors forward, EntryLight *entries)
 {
   __constant const Effects *e = scene->effects;
@@ -152,7 +155,7 @@ INLINE void add_light(const Scene *scene, float4 at, float4 intensity, const Hel
 #if SPECULAR
     floatN scale = permuted_lanes(ray_scale, lane);
 #endif
-    if (at.w == LIGHT_POINT) {
+    if (light_has_place(at)) {
       const Vectors place = places_of(entries_at(held, k + LANES * j, ray), ray);
       const Vectors here = to_local(e, place.x, place.y, place.z);
       const Vectors from = {at.x - here.x, at.y - here.y, at.z - here.z};
@@ -163,6 +166,9 @@ INLINE void add_light(const Scene *scene, float4 at, float4 intensity, const Hel
     }
     lit->cosine = lane_max(dot3(lit->normal, towards), (floatN)0.0f);
     lit->faces = lit->lightable & MASK(lit->cosine > 0.0f);
+#if AIMED_LIGHTS
+    lit->share = aimed_share(scene, item, at.w, towards);
+#endif
 #if SPECULAR
     lit->aligned = lane_clamp((lit->cosine + lit->facing) * scale, (floatN)0.0f, (floatN)1.0f);
 #endif
@@ -171,9 +177,12 @@ INLINE void add_light(const Scene *scene, float4 at, float4 intensity, const Hel
   _Pragma("unroll 1") for (int j = 0; j < count; j += 2)
     lane_powers(entries[j].aligned, entries[j + 1].aligned, e->shininess, &entries[j].aligned, &entries[j + 1].aligned);
 #endif
-  const Vectors color = broadcast3(intensity);
   _Pragma("unroll 1") for (int j = 0; j < count; ++j) {
     EntryLight *lit = entries + j;
+    Vectors color = broadcast3(intensity);
+#if AIMED_LIGHTS
+    color.x *= lit->share.x, color.y *= lit->share.y, color.z *= lit->share.z;
+#endif
     const floatN diffuse = select((floatN)0.0f, e->diffuse * lit->cosine, lit->faces);
     lit->light.diffuse.x += diffuse * color.x, lit->light.diffuse.y += diffuse * color.y;
     lit->light.diffuse.z += diffuse * color.z;
@@ -210,8 +219,8 @@ INLINE void light_entries(const Scene *scene, const HeldSegments *held, int k, i
   }
   if (count & 1) entries[count].aligned = 0.0f; /* powers are taken of two */
   _Pragma("unroll 1") for (int light = 0; light < e->light_count; ++light) {
-    const int item = e->first_light + 2 * light;
-    add_light(scene, scene->items[item], scene->items[item + 1], held, k, count, ray, forward, entries);
+    const int item = e->first_light + LIGHT_ROWS * light;
+    add_light(scene, item, scene->items[item], scene->items[item + 1], held, k, count, ray, forward, entries);
   }
 }
 

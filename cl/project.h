@@ -41,6 +41,7 @@
 #define BOUND_SHIFT 2 /* from one level to the next, log2 */
 #define NO_SCORE (-3e38f)
 
+#define VALUES_IN_RUNS (BLOCKS && !NOISE)
 #define SCORE_LEAPS (SKIP_EMPTY && COMPOSITING != COMPOSITING_AVERAGE)
 
 #if SCORE_LEAPS
@@ -57,11 +58,12 @@ INLINE floatN next_above(const Scene *scene, const Rays *ray, floatN t, floatN n
   const intN away = select(zero, one, MASK(ray->dz > 0.0f));
   const floatN fastest = lane_max(lane_max(fabs(ray->dx), fabs(ray->dy)), fabs(ray->dz));
   const floatN least_margin = FACE_MARGIN(view) / lane_max(fastest, (floatN)1e-12f);
+  const floatN x0 = AMONG_CELLS(ray->x0), y0 = AMONG_CELLS(ray->y0), z0 = AMONG_CELLS(ray->z0);
   floatN entered = t;
   for (;;) {
-    const intN x = TO_INT(lane_clamp(ray->x0 + t * ray->dx, (floatN)0.0f, (floatN)view->upper.x));
-    const intN y = TO_INT(lane_clamp(ray->y0 + t * ray->dy, (floatN)0.0f, (floatN)view->upper.y));
-    const intN z = TO_INT(lane_clamp(ray->z0 + t * ray->dz, (floatN)0.0f, (floatN)view->upper.z));
+    const intN x = TO_INT(lane_clamp(x0 + t * ray->dx, (floatN)0.0f, (floatN)view->upper.x));
+    const intN y = TO_INT(lane_clamp(y0 + t * ray->dy, (floatN)0.0f, (floatN)view->upper.y));
+    const intN z = TO_INT(lane_clamp(z0 + t * ray->dz, (floatN)0.0f, (floatN)view->upper.z));
     int shift = view->cell_shift, nx = view->cells.x, ny = view->cells.y, nz = view->cells.z, first = 0;
     intN leaps = active, across = shift;
     _Pragma("unroll 1") for (int level = 0; level < BOUND_LEVELS; ++level) {
@@ -79,9 +81,9 @@ INLINE floatN next_above(const Scene *scene, const Rays *ray, floatN t, floatN n
     if (shift == view->cell_shift) return entered; /* no lane leaps */
     const intN fx = ((x >> across) + right) << across, fy = ((y >> across) + down) << across;
     const intN fz = ((z >> across) + away) << across;
-    const floatN leave_x = (TO_FLOAT(fx) - ray->x0) * ray->rx + ray->px;
-    const floatN leave_y = (TO_FLOAT(fy) - ray->y0) * ray->ry + ray->py;
-    const floatN leave = lane_min(lane_min(leave_x, leave_y), (TO_FLOAT(fz) - ray->z0) * ray->rz + ray->pz);
+    const floatN leave_x = (TO_FLOAT(fx) - x0) * ray->rx + ray->px;
+    const floatN leave_y = (TO_FLOAT(fy) - y0) * ray->ry + ray->py;
+    const floatN leave = lane_min(lane_min(leave_x, leave_y), (TO_FLOAT(fz) - z0) * ray->rz + ray->pz);
     const floatN face = lane_max(leave, t), margin = least_margin + SHARE_OF_T * face;
     entered = select(entered, face - margin, active);
     t = select(t, face + margin, active);
@@ -171,10 +173,18 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
       i = select(i, last + 1, leaping & MASK(visible_at >= ray.length));
     }
 #endif
+#if VALUES_IN_RUNS
+    floatN values[MARCH_STEPS];
+    values_of_segments(scene, &ray, i, last, 0, alive & MASK(i <= last), values);
+#endif
     _Pragma("unroll 1") for (int step = 0; step < MARCH_STEPS; ++step) {
       const intN active = alive & MASK(i <= last);
       const floatN t = select((floatN)0.0f, middle_of(&ray, i), active);
+#if VALUES_IN_RUNS
+      const floatN value = values[step];
+#else
       const floatN value = scene_value(scene, ray.x0 + t * ray.dx, ray.y0 + t * ray.dy, ray.z0 + t * ray.dz);
+#endif
       taken -= AS_UINT(active);
       floatN kept = 1.0f;
 #if FIELDS & FIELD_MASK

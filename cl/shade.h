@@ -4,7 +4,7 @@
  *   lit = c (ambient + diffuse sum I max(N.L, 0)) + specular sum I max(N.H, 0)^shininess,   N = -gradient / |gradient|
  *
  * Lights are two items each: direction to the light (directional) or place (point), and in w its kind; colour times
- * intensity, and in w its number in the light volume, or -1. A headlight shines from the eye, so that L is V for every
+ * intensity, and in w its number in the light volume, or -1. Spots and images have more (aimed_lights.h). A headlight shines from the eye, so that L is V for every
  * ray. Where the gradient has no direction nothing is shaded: c stays as it is.
  */
 #ifndef SHADE_H
@@ -24,6 +24,9 @@
 #endif
 #if ENVIRONMENT
 #include "environment.h"
+#endif
+#if AIMED_LIGHTS
+#include "aimed_lights.h"
 #endif
 #if SHADOWS
 #include "shadow.h"
@@ -55,18 +58,26 @@ INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal
   if (on_surface) place = beyond_surface(scene, place, normal);
 #endif
   _Pragma("unroll 1") for (int k = 0; k < e->light_count; ++k) {
-    const float4 at = scene->items[e->first_light + 2 * k], intensity = scene->items[e->first_light + 2 * k + 1];
+    const int item = e->first_light + LIGHT_ROWS * k;
+    const float4 at = scene->items[item], intensity = scene->items[item + 1];
     Vectors towards = broadcast3(at);
-    if (at.w == LIGHT_POINT) {
+    if (light_has_place(at)) {
       const Vectors here = to_local(e, lit_place.x, lit_place.y, lit_place.z);
       const Vectors from = {at.x - here.x, at.y - here.y, at.z - here.z};
       towards = unit3(from);
     }
     if (at.w == LIGHT_HEADLIGHT) towards = view;
     const floatN cosine = lane_max(dot3(normal, towards), (floatN)0.0f);
-    const intN faces = lightable & MASK(cosine > 0.0f);
-    if (!any_lane(faces)) continue;
+    intN faces = lightable & MASK(cosine > 0.0f);
     Vectors arriving = broadcast3(intensity);
+#if AIMED_LIGHTS
+    if (at.w >= LIGHT_SPOT) {
+      const Vectors share = aimed_share(scene, item, at.w, towards);
+      arriving.x *= share.x, arriving.y *= share.y, arriving.z *= share.z;
+      faces &= MASK(share.x + share.y + share.z > 0.0f);
+    }
+#endif
+    if (!any_lane(faces)) continue;
 #if SHADOWS
     if (intensity.w >= 0.0f) {
       const Vectors shadow = light_that_arrives(scene, place, towards, at, (int)intensity.w, weight, faces, counted);

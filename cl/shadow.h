@@ -55,7 +55,13 @@
 #endif
 
 #define SURFACE_OFFSET 0.1f
-#define SHADOW_STEPS 8 /* between looks at the distance map */
+/* Steps between looks at the distance map. Values of blocks are taken in runs. */
+#define SHADOW_RUNS (BLOCKS && !NOISE)
+#if SHADOW_RUNS
+#define SHADOW_STEPS MARCH_STEPS
+#else
+#define SHADOW_STEPS 8
+#endif
 
 /* A local direction of unit length in lattice units per edge. What is parallel to an axis' faces but for rounding is
  * made so: a ray along a face would leave through it. */
@@ -226,6 +232,10 @@ INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction
     joined &= ~leaps;
 #endif
 #endif
+#if SHADOW_RUNS
+    floatN values[SHADOW_STEPS];
+    values_of_segments(scene, ray, min(i, max(last, (intN)0)), last, SHADOW_ENDS, going, values);
+#endif
     _Pragma("unroll 1") for (int step = 0; step < SHADOW_STEPS; ++step) {
       const intN active = MASK(i <= last) & MASK(depth < enough);
       if (!any_lane(active)) break;
@@ -236,7 +246,11 @@ INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction
       floatN front = value1, value = 0.0f;
       const intN opens = active & ~joined;
       _Pragma("unroll 1") for (int k = any_lane(opens) ? 0 : 1; k < 2; ++k) {
+#if SHADOW_RUNS
+        value = k ? values[step] : value_along(scene, ray, t0);
+#else
         value = value_along(scene, ray, k ? at : t0);
+#endif
         if (k == 0) front = select(front, value, opens), count_lanes(&counted[COUNT_SHADOW_SAMPLES], opens);
       }
       SegmentValues v = {front, value};
@@ -247,7 +261,11 @@ INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction
       const floatN at = t0 + 0.5f * length, value = 0.0f;
       const SegmentValues v = {value, value};
 #else
-      const floatN at = t0 + 0.5f * length, value = value_along(scene, ray, at);
+#if SHADOW_RUNS
+      const floatN value = values[step];
+#else
+      const floatN value = value_along(scene, ray, t0 + 0.5f * length);
+#endif
       const SegmentValues v = {value, value};
 #endif
       count_lanes(&counted[COUNT_SHADOW_SAMPLES], active);
@@ -285,7 +303,7 @@ INLINE floatN depth_towards(const Scene *scene, Vectors place, Vectors direction
 /* How far it is to a light, in edges, from a local place. */
 INLINE floatN distance_to_light(float4 light, Vectors here)
 {
-  if (light.w != LIGHT_POINT) return (floatN)INFINITY;
+  if (!light_has_place(light)) return (floatN)INFINITY;
   const Vectors way = {light.x - here.x, light.y - here.y, light.z - here.z};
   return sqrt(dot3(way, way));
 }

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from clvol.device.aimed_lights import load_images
 from clvol.device.environment_file import load_radiance
 from clvol.features.analysis import effects, reduced
 from clvol.features.compression import explained
@@ -35,6 +36,7 @@ def explain(resolved: ResolvedScene) -> dict[str, Any]:
     """
     check_scene(resolved)
     _read_environment(reduced(resolved).environment)
+    load_images(reduced(resolved).lights)
     listed = [
         {"name": e.name, "called_for": e.called_for, "reason": e.reason} for e in effects(resolved)
     ]
@@ -73,8 +75,8 @@ def _coherence(resolved: ResolvedScene) -> dict[str, str]:
     """The mode of [coherence] that pictures are rendered with, and why."""
     mode, programs = resolved.coherence.mode, scene_programs(_as_decoded(resolved))
     switches = programs.get("raycast.cl")
-    if switches is None or switches.get("BLOCKS") or switches.get("SLICES"):
-        return {"mode": "off", "reason": "the method casts no packets of rays through a whole volume"}
+    if switches is None or switches.get("SLICES"):
+        return {"mode": "off", "reason": "the method casts no packets of rays"}
     if mode == "reproject" and "reproject.cl" not in programs:
         return {"mode": "cells", "reason": f"'reproject' does not go with {unsupported(resolved, switches)}"}
     if mode == "auto":

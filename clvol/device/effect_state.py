@@ -10,6 +10,7 @@ import copy
 
 import numpy as np
 
+from clvol.device.aimed_lights import aimed_rows, has_aimed, load_images, share_towards
 from clvol.device.effect_switches import effect_switches
 from clvol.device.environment import environment_maps
 from clvol.device.environment_file import load_radiance
@@ -49,8 +50,10 @@ from clvol.volume.voxel_layout import padded_size
 # The switch under which each counter counts anything, in the order of EFFECT_COUNTERS.
 _BY_RAYS = ("shadow_rays", "shadow_samples")  # counted only where the method of shadows is "rays"
 _COUNTED_BY = ("GRADIENT", "LIGHTING", "ISOSURFACES", "ISOSURFACES", "SHADOWS", "SHADOWS", "FIELDS", "REFRACTION")
+_BEND = ("REFRACTION", "CURVED_RAYS")
 COUNTERS = dict(zip(EFFECT_COUNTERS, _COUNTED_BY, strict=True))
 OPAQUE_DEPTH = 1e15  # optical depth of an opaque surface; finite, so that any share of it is opaque, too
+LONGEST_PATH = 8.0  # of rays that turn, in diagonals of the volume's bounding box
 _FAR = 1e12  # smallest edges: light from farther away has one direction in float32
 Row = tuple[float, ...]  # a float4 of the buffer `items`
 
@@ -79,15 +82,15 @@ class EffectState:
         }  # fmt: skip
         self.arrays: dict[str, DeviceArray] = none
         self.fields: SceneFields | None = None
+        self._images = load_images(resolved.lights)
         self._fill(resolved, volume)
         self._add_factors(resolved, volume)
         if self.switches.get("GRADIENT") == GRADIENTS["precomputed"]:
             gradients, scale = volume.gradients(resolved.gradient.operator)
             self.arrays["gradients"], self.numbers["gradient_scale"] = gradients, scale
-        if resolved.environment is not None:
-            self._add_environment(resolved.environment, resolved.material.shininess)
-        if resolved.noise:
-            self.arrays["noise"] = context.upload(device_tiles(resolved.noise))
+        self._add_environment(resolved.environment, resolved.material.shininess)
+        if all_noise := (*resolved.noise, *resolved.attenuation_noise):
+            self.arrays["noise"] = context.upload(device_tiles(all_noise))
             self._fill_noise(resolved)
         if "COMPOSITING" in self.switches:
             self._add_projection(resolved, volume)
@@ -141,26 +144,41 @@ class EffectState:
         if resolved.glow is not None:
             rows = glow_rows(resolved.glow, volume.values, reachable(resolved), self.space.unit)
             numbers["glow_points"], numbers["glow_table"] = rows.shape[1], place(rows)
+        if resolved.refraction is not None:
+            index = resolved.refraction
+            rows = np.stack([volume.values(index.values), index.indices]).astype(np.float32)
+            numbers["index_points"], numbers["index_table"] = rows.shape[1], place(rows)
+            corners = resolved.volume.grid.world_corners()
+            diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
+            numbers["longest_path"] = LONGEST_PATH * diagonal / self.space.unit
         if resolved.fields:
-            self.fields = SceneFields(self.context, resolved, volume.cells, place, numbers)
+            self.fields = SceneFields(self.context, resolved, volume.cells, place, numbers, volume.cell_layout)
             self.arrays["fields"] = self.fields.voxels
         if any(table.size for table in tables):
             self.arrays["factors"] = self.context.upload(np.concatenate(tables))
 
-    def _add_environment(self, table: Environment, shininess: float) -> None:
+    def _add_environment(self, table: Environment | None, shininess: float) -> None:
+        """The maps of the environment, after the pictures that lights project."""
+        texels = self._images.texels
+        if table is None:
+            if len(texels):
+                self.arrays["environment"] = self.context.upload(texels)
+            return
         radiance = load_radiance(table.path, table.layout, table.intensity, table.rotation_degrees)
         maps = environment_maps(radiance, shininess, sky=table.visible)
-        self.arrays["environment"] = self.context.upload(maps.nodes)
+        nodes = np.concatenate([texels, maps.nodes]) if len(texels) else maps.nodes
+        self.arrays["environment"] = self.context.upload(nodes)
         places = {"diffuse": maps.diffuse, "specular": maps.specular, "sky": maps.sky or maps.diffuse}
         for name, place in places.items():
-            self.numbers[f"{name}_map_size"], self.numbers[f"{name}_map"] = place.size, place.offset
+            self.numbers[f"{name}_map_size"], self.numbers[f"{name}_map"] = place.size, place.offset + len(texels)
 
     def _fill_noise(self, resolved: ResolvedScene) -> None:
         """The terms at ``animation.time``."""
         grid, numbers = resolved.volume.grid, self.numbers[0]
         numbers["noise_terms"], numbers["added_terms"], numbers["moving_terms"] = device_noise(
-            resolved.noise, grid, resolved.animation.time, self._value_gain
+            (*resolved.noise, *resolved.attenuation_noise), grid, resolved.animation.time, self._value_gain
         )
+        numbers["tinting_terms"] = len(resolved.attenuation_noise)
         numbers["noise_reach"][:3] = 0.5 * grid.smallest_edge / np.asarray(grid.spacing)
 
     def _add_projection(self, resolved: ResolvedScene, volume: ResidentVolume) -> None:
@@ -172,6 +190,12 @@ class EffectState:
         numbers["hidden_score"] = NO_SCORE
         if resolved.integration.compositing != "average":
             self.arrays["factors"] = self.context.upload(score_bounds(volume, resolved, moved))
+
+    def update_projection(self, resolved: ResolvedScene, volume: ResidentVolume) -> None:
+        """Bounds of the values of ``volume``, of which other parts are resident now."""
+        self.numbers = self.numbers.copy()
+        self._add_projection(resolved, volume)
+        self.arrays["effects"] = self.context.upload(self.numbers)
 
     def set_hidden(self, score: float) -> None:
         """Samples of at most this score show nothing."""
@@ -186,7 +210,7 @@ class EffectState:
             other.numbers = self.numbers.copy()
             if self.switches.get("SHADOWS"):
                 other.numbers["shadow_step"] = shadow_step(resolved)
-            if resolved.noise:
+            if resolved.noise or resolved.attenuation_noise:
                 other._fill_noise(resolved)
             other.numbers["attenuation"] = attenuation_a_step(resolved)
             other.arrays["effects"] = self.context.upload(other.numbers)
@@ -220,24 +244,27 @@ class EffectState:
     def _items(
         self, resolved: ResolvedScene, values: ValueMap
     ) -> tuple[list[Row], list[Row], list[Row]]:
-        """Lights, iso-surfaces and clips, in two and three rows each."""
+        """Lights, iso-surfaces and clips, in two (or, of aimed lights, more) and three rows each."""
         space = self.space
         lights: list[Row] = []
         surfaces: list[Row] = []
         clips: list[Row] = []
-        casting = casting_lights(resolved)
+        casting, aimed = casting_lights(resolved), has_aimed(resolved.lights)
         for number, light in enumerate(resolved.lights):
             at = np.zeros(3)
             if light.type == "directional":
                 at = -unit_vector(np.asarray(light.direction, np.float64))
-            kind = LIGHTS[light.type]
-            if light.type == "point":
+            kind, color = LIGHTS[light.type], np.asarray(light.color) * light.intensity
+            if light.has_position:
                 at = space.point(np.asarray(light.position, np.float64))
                 if np.abs(at).max() > _FAR:
                     at, kind = unit_vector(at), LIGHTS["directional"]
+                    color = color * share_towards(light, self._images, -at) if light.is_aimed else color
             lights.append((*at, kind))
             volume = casting.index(number) if number in casting else -1.0
-            lights.append((*(np.asarray(light.color) * light.intensity), volume))
+            lights.append((*color, volume))
+            if aimed:
+                lights += aimed_rows(light, self._images)
         for surface in sorted(resolved.isosurfaces, key=lambda s: s.value):
             level = float(values(surface.value))
             depth = -np.log1p(-surface.opacity) if surface.opacity < 1 else OPAQUE_DEPTH
@@ -267,10 +294,11 @@ class EffectState:
     def counted(self, sums: dict[str, int]) -> dict[str, int]:
         """Those of ``sums`` (by the names of COUNTERS) that the scene's effects count."""
         by_volume = self.switches.get("SHADOWS") in (METHODS["volume"], METHODS["half-angle"])
+        bend = any(self.switches.get(switch) for switch in _BEND)
         return {
             name: total
             for name, total in sums.items()
-            if self.switches.get(COUNTERS[name]) and not (by_volume and name in _BY_RAYS)
+            if (bend if name == "bends" else self.switches.get(COUNTERS[name])) and not (by_volume and name in _BY_RAYS)
         }
 
 

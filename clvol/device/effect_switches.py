@@ -6,6 +6,7 @@ from it, so they are not compiled.
 
 from __future__ import annotations
 
+from clvol.device.aimed_lights import has_aimed
 from clvol.device.fields import field_switches
 from clvol.device.gradients import gradient_switch
 from clvol.device.light_volume import shadow_switches
@@ -31,10 +32,12 @@ def effect_switches(
     surfaces = resolved.isosurfaces
     refracts = any(surface.refraction != 1.0 for surface in surfaces)
     factors = resolved.gradient_opacity is not None or resolved.directional_opacity is not None
+    curves = resolved.refraction is not None
     decides = factors or has_gradient_layers(resolved)
     switches = {
         "LIGHTING": int(lit),
         "LIGHTS": int(bool(resolved.lights)),
+        **({"AIMED_LIGHTS": 1} if lit and has_aimed(resolved.lights) else {}),
         "SPECULAR": int(lit and resolved.material.specular > 0),
         "ISOSURFACES": int(bool(surfaces)),
         "REFRACTION": int(refracts),
@@ -46,14 +49,16 @@ def effect_switches(
         **field_switches(resolved),
         "NOISE": _noise(resolved),
         **shadow_switches(resolved),
+        **({"TINTED_SCATTERING": 1} if resolved.attenuation_noise else {}),
         **({"GLOW": 1} if resolved.glow is not None else {}),
-        "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides else 0,
+        **({"CURVED_RAYS": 1} if curves else {}),
+        "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides or curves else 0,
     }
     if not any(switches.values()):
         return {}
     # Opacities of whole segments are enough where no effect cuts segments or changes their extinction.
     changed = decides or surfaces or resolved.fields or resolved.integration.classification == "pre"
-    changed = changed or resolved.glow is not None
+    changed = changed or resolved.glow is not None or curves
     return {
         "EFFECTS": 1,
         "TRANSLUCENT": int(is_translucent(resolved)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
@@ -24,12 +24,13 @@ if TYPE_CHECKING:
     from clvol.opencl.context import DeviceContext
     from clvol.scene.field import ResolvedField
     from clvol.scene.resolve import ResolvedScene
-    from clvol.volume import Grid, Volume
+    from clvol.volume import Grid
 
 _DENSITY_NODES = 4096
 _ROUNDING = 4e-6  # of a linear interpolation in float32, as a share of the largest value
 _MARGIN = 0.02  # voxels of the volume that a sample may be off its cell, generously
 _FINEST_SHIFT = 1e-9  # voxels: anything below that is rounding of the affine maps
+_CELLS_TOGETHER = 1 << 20  # of which boxes are looked at
 T = TypeVar("T")
 
 
@@ -38,6 +39,17 @@ def field_switches(resolved: ResolvedScene) -> dict[str, int]:
     for field in resolved.fields:
         bits |= FIELD_ROLES[field.role]
     return {"FIELDS": bits}
+
+
+@dataclass(frozen=True)
+class CellLayout:
+    """Cells of ``edge`` lattice units of a volume, of which the first begins at ``first`` along each axis."""
+
+    edge: int
+    first: float = 0.0
+
+
+LATTICE_CELLS = CellLayout(1 << CELL_SHIFT)
 
 
 class SceneFields:
@@ -55,9 +67,10 @@ class SceneFields:
         cells: tuple[int, int, int],
         place: Callable[[np.ndarray], int],
         numbers: np.ndarray,
+        layout: CellLayout = LATTICE_CELLS,
     ) -> None:
         _check_fits(context, resolved)
-        parts = [_Part(field, resolved.volume) for field in resolved.fields]
+        parts = [_Part(field, resolved.volume.grid) for field in resolved.fields]
         numbers["field_count"] = len(parts)
         edge = resolved.volume.grid.smallest_edge
         begin = 0
@@ -73,9 +86,21 @@ class SceneFields:
         self.shown, self.kept = np.zeros(cells[::-1], bool), np.ones(cells[::-1], bool)
         for part in parts:
             if part.field.role == "density":
-                self.shown |= part.density_cells(cells)
+                self.shown |= part.density_cells(cells, layout)
             elif part.field.role == "mask":
-                self.kept &= part.mask_cells(cells)
+                self.kept &= part.mask_cells(cells, layout)
+
+
+def kept_blocks(
+    fields: Sequence[ResolvedField], grid: Grid, counts: tuple[int, int, int], edge: int, margin: float
+) -> np.ndarray:
+    """bool [bz, by, bx]: blocks of ``edge`` voxels of ``grid`` of which, and of ``margin`` voxels around, all masks
+    among ``fields`` keep something. ``counts``: blocks (z, y, x)."""
+    kept, layout = np.ones(counts, bool), CellLayout(edge, -0.5)
+    for field in fields:
+        if field.role == "mask":
+            kept &= _Part(field, grid).mask_cells((counts[2], counts[1], counts[0]), layout, margin)
+    return kept
 
 
 def field_bytes(resolved: ResolvedScene) -> int:
@@ -95,11 +120,11 @@ class _Part:
     """One field. ``voxels`` float32 [z, y, x]; ``matrix`` float64 [3, 3] and ``shift`` [3]: from
     lattice points of the volume to its own."""
 
-    def __init__(self, field: ResolvedField, volume: Volume) -> None:
+    def __init__(self, field: ResolvedField, grid: Grid) -> None:
         self.field = field
         self.values = ValueMap() if field.role in ("label", "color") else value_map(field.volume)
         self.voxels = _voxels(field, self.values)
-        self.matrix, self.shift = between_lattices(volume.grid, field.volume.grid)
+        self.matrix, self.shift = between_lattices(grid, field.volume.grid)
 
     def fill(self, row: np.void, place: Callable[[np.ndarray], int], edge: float) -> None:
         """Fills in the members of the struct ``Field`` that depend on the role. ``edge``: world length of the volume's
@@ -128,24 +153,32 @@ class _Part:
         integer = volume.dtype.kind in "iu"
         return function, lookup_nodes(function, (low, high), _DENSITY_NODES, integer=integer)
 
-    def density_cells(self, cells: tuple[int, int, int]) -> np.ndarray:
+    def density_cells(self, cells: tuple[int, int, int], layout: CellLayout) -> np.ndarray:
         function, nodes = self._density
-        bounds = _Bounds(*self._bounds(cells))
+        bounds = _Bounds(*self._bounds(cells, layout))
         visible = visible_cells(function, nodes.values)
         at_nodes = function.opacity(nodes.values) > 0
         return visible_mask(bounds, "linear", nodes, visible, at_nodes)
 
-    def mask_cells(self, cells: tuple[int, int, int]) -> np.ndarray:
-        low, high = self._bounds(cells)
+    def mask_cells(self, cells: tuple[int, int, int], layout: CellLayout, margin: float = 0.0) -> np.ndarray:
+        low, high = self._bounds(cells, layout, margin)
         level = np.float32(self.values(_present(self.field.threshold)))  # as the kernel compares
         inside = low <= high
         return inside & (high >= level if self.field.keep == "above" else low <= level)
 
-    def _bounds(self, cells: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-        """float64 [z, y, x]: bounds of everything that is interpolated in each cell of the volume; low > high where
-        nothing is interpolated."""
-        middle, reach = cell_boxes(cells, self.matrix, self.shift)
-        low, high = bounds_around(self.voxels, middle, reach)
+    def _bounds(
+        self, cells: tuple[int, int, int], layout: CellLayout, margin: float = 0.0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """float64 [z, y, x]: bounds of everything that is interpolated in each cell of the volume and ``margin``
+        lattice units around it; low > high where nothing is interpolated."""
+        low, high = np.empty(cells[::-1]), np.empty(cells[::-1])
+        layers = max(_CELLS_TOGETHER // (cells[0] * cells[1]), 1)
+        around = None
+        for first in range(0, cells[2], layers):
+            part = slice(first, first + layers)
+            middle, reach = cell_boxes(cells, self.matrix, self.shift, layout, part, margin)
+            around = around or BoundsAround(self.voxels, reach)
+            low[part], high[part] = around(middle)
         rounding = np.where(low < high, _ROUNDING * np.maximum(np.abs(low), np.abs(high)), 0.0)
         return low - rounding, high + rounding
 
@@ -212,36 +245,45 @@ def between_lattices(volume: Grid, field: Grid) -> tuple[np.ndarray, np.ndarray]
 
 
 def cell_boxes(
-    cells: tuple[int, int, int], matrix: np.ndarray, shift: np.ndarray
+    cells: tuple[int, int, int], matrix: np.ndarray, shift: np.ndarray, layout: CellLayout = LATTICE_CELLS,
+    z: slice = slice(None), margin: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Boxes in a field's lattice around the volume's cells: centres float64 [z, y, x, 3], and the half extents [3]
-    that all of them share."""
-    edge = 1 << CELL_SHIFT
-    axes = [edge * (np.arange(n) + 0.5) for n in cells]
-    z, y, x = np.meshgrid(axes[2], axes[1], axes[0], indexing="ij")
-    middle = np.stack([x, y, z], axis=-1) @ matrix.T + shift
-    return middle, np.abs(matrix).sum(axis=1) * (0.5 * edge + _MARGIN) + _MARGIN
+    that all of them share. ``z``: of these layers of cells. ``margin``: lattice units of the volume around cells."""
+    axes = [layout.edge * (np.arange(n) + 0.5) + layout.first for n in cells]
+    z_, y, x = np.meshgrid(axes[2][z], axes[1], axes[0], indexing="ij")
+    middle = np.stack([x, y, z_], axis=-1) @ matrix.T + shift
+    return middle, np.abs(matrix).sum(axis=1) * (0.5 * layout.edge + margin + _MARGIN) + _MARGIN
+
+
+class BoundsAround:
+    """Smallest and largest finite voxel of ``voxels`` [z, y, x] that interpolation within ``reach`` [3] of places uses,
+    perhaps with a few more voxels."""
+
+    def __init__(self, voxels: np.ndarray, reach: np.ndarray) -> None:
+        from scipy import ndimage  # importing it takes a tenth of a second, which scenes without fields save
+
+        self._upper, self._reach = np.array(voxels.shape[::-1]) - 1, reach
+        # From the voxel before the lowest position to the one beyond the highest.
+        count = np.minimum(np.ceil(2.0 * np.minimum(reach, 1e9)) + 2, self._upper + 1).astype(np.int64)
+        size = tuple(int(n) for n in count[::-1])
+        ahead = tuple(-(n // 2) for n in size)
+        self._bounds = []
+        for filter, outside in ((ndimage.minimum_filter, np.inf), (ndimage.maximum_filter, -np.inf)):
+            filled = np.where(np.isnan(voxels), np.float32(outside), voxels)
+            self._bounds.append(filter(filled, size=size, mode="constant", cval=outside, origin=ahead))
+
+    def __call__(self, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """float64 [...], of places ``middle`` [..., 3] (x, y, z); low > high where there is none."""
+        meets = np.all((middle + self._reach >= 0) & (middle - self._reach <= self._upper), axis=-1)
+        first = np.clip(np.floor(middle - self._reach), 0, self._upper).astype(np.int64)
+        places = tuple(first[..., axis] for axis in (2, 1, 0))
+        low, high = (bound[places].astype(np.float64) for bound in self._bounds)
+        return np.where(meets, low, np.inf), np.where(meets, high, -np.inf)
 
 
 def bounds_around(
     voxels: np.ndarray, middle: np.ndarray, reach: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """float64 [...]: smallest and largest finite voxel of ``voxels`` [z, y, x] that interpolation within ``reach`` [3]
-    of each of ``middle`` [..., 3] (x, y, z) uses, perhaps with a few more voxels; low > high where there is none."""
-    from scipy import ndimage  # importing it takes a tenth of a second, which scenes without fields save
-
-    upper = np.array(voxels.shape[::-1]) - 1
-    meets = np.all((middle + reach >= 0) & (middle - reach <= upper), axis=-1)
-    first = np.clip(np.floor(middle - reach), 0, upper).astype(np.int64)
-    # From the voxel before the lowest position to the one beyond the highest.
-    count = np.minimum(np.ceil(2.0 * np.minimum(reach, 1e9)) + 2, upper + 1).astype(np.int64)
-    size = tuple(int(n) for n in count[::-1])
-    ahead = tuple(-(n // 2) for n in size)
-    places = tuple(first[..., axis] for axis in (2, 1, 0))
-    found = []
-    for filter, outside in ((ndimage.minimum_filter, np.inf), (ndimage.maximum_filter, -np.inf)):
-        filled = np.where(np.isnan(voxels), np.float32(outside), voxels)
-        bound = filter(filled, size=size, mode="constant", cval=outside, origin=ahead)
-        found.append(bound[places].astype(np.float64))
-    low, high = found
-    return np.where(meets, low, np.inf), np.where(meets, high, -np.inf)
+    """``BoundsAround`` of ``reach`` at ``middle``."""
+    return BoundsAround(voxels, reach)(middle)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from clvol.device.arguments import EFFECT_ARGUMENTS, scene_arguments
+from clvol.device.arguments import Arguments, scene_arguments
 from clvol.errors import SceneError
 from clvol.features.gradient_storage import DeviceLimits
 from clvol.features.vocabulary import SHADOW_METHODS as METHODS
@@ -20,13 +20,14 @@ from clvol.schedule.tiles import bands
 from clvol.volume import Grid
 
 CONE_DIRECTIONS = 13
+OPAQUE_DEPTH = 1e15  # of cl/stretch.h
 TRANSPARENT = 1e-3  # a march stops where a smaller share of the light is left
 _SECONDS_A_SAMPLE, _BAND_SECONDS = 1e-8, 0.5
 _WORK_GROUP = 64
 _ARGUMENTS = (
     reads("cone", np.float32, 1 + CONE_DIRECTIONS, 4),
     value("light", np.int32),
-    value("index", np.int32),
+    value("number", np.int32),
     value("first", np.int32),
     writes("arrives", np.float32, "lights", "points", "channels"),
     writes("samples", np.uint32, "items"),
@@ -124,7 +125,8 @@ def shadow_numbers(resolved: ResolvedScene, padded: tuple[int, int, int]) -> dic
     numbers: dict[str, Any] = {
         "shadow_bound": shadow.bound,
         "shadow_step": shadow_step(resolved),
-        "shadow_depth": -np.log(TRANSPARENT) / slowest,
+        # Noise may leave nothing that attenuates.
+        "shadow_depth": OPAQUE_DEPTH if resolved.attenuation_noise else -np.log(TRANSPARENT) / slowest,
         "scattering": shadow.scattering,
     }
     if shadow_method(resolved) == "volume":
@@ -149,12 +151,14 @@ def fill_light_volume(
     resolved: ResolvedScene,
     switches: Mapping[str, int],
     view: np.ndarray,
+    variant: Arguments,
     arrays: Mapping[str, DeviceArray],
 ) -> tuple[DeviceArray, int]:
     """The light volumes of all lights that cast shadows, float32 [lights, z, y, x, channels], and
     how many samples of the volume that took.
 
-    ``switches``: the picture's. ``arrays``: those of the scene and its effects, by name.
+    ``switches``: the picture's. ``variant``: the declared arguments that follow the scene's. ``arrays``: those of the
+    scene and of the variant, by name.
     """
     lights, shadow = casting_lights(resolved), _shadow_of(resolved)
     size = light_size(resolved.volume.grid, shadow.resolution)
@@ -167,14 +171,14 @@ def fill_light_volume(
     cone = np.zeros((1 + CONE_DIRECTIONS, 4), np.float32)
     cone[0] = (*(1.0 - np.asarray(shadow.scatter_color)), CONE_DIRECTIONS)
     cone[1:, :3] = cone_directions(shadow.cone_degrees)
-    declared = scene_arguments(switches["VOXEL_BITS"]) + EFFECT_ARGUMENTS + _ARGUMENTS
+    declared = scene_arguments(switches["VOXEL_BITS"]) + variant + _ARGUMENTS
     kernel = context.kernel("light_volume.cl", "light_volume", declared, switches)
     given = {**arrays, "view": context.upload(view), "cone": context.upload(cone)}
     sizes = {"lights": len(lights), "points": points, "channels": channels, "items": items}
     rays = 1 + CONE_DIRECTIONS * switches["SCATTERING"]
     expected = points * rays * sum(resolved.volume.grid.size) / shadow_step(resolved)
     taken = 0
-    for index, light in enumerate(lights):
+    for number, light in enumerate(lights):
         for first, count in bands(items, expected * _SECONDS_A_SAMPLE, _BAND_SECONDS):
             kernel(
                 context.queue,
@@ -182,7 +186,7 @@ def fill_light_volume(
                 (group,),
                 sizes=sizes,
                 light=light,
-                index=index,
+                number=number,
                 first=first * lanes,
                 arrives=arrives,
                 samples=counts,

@@ -22,6 +22,7 @@ from clvol.features import (
     lighting,
     noise,
     opacity,
+    refraction,
     segments,
     shadows,
     surfaces,
@@ -42,13 +43,17 @@ NAMES = (
     "prefilter",
     "lighting",
     "specular",
+    "spot lights",
+    "image lights",
     "environment",
     "environment background",
     "shadows",
     "scattering",
+    "attenuation noise",
     "half-angle slices",
     "isosurfaces",
     "refraction",
+    "continuous refraction",
     "gradients",
     "sobel gradients",
     "precomputed gradients",
@@ -68,8 +73,8 @@ NAMES = (
 )
 # Each pass analyses the scene as reduced by the passes before it.
 _PASSES = (
-    filters, glow, emission, segments, fields, noise, clipping, surfaces, opacity, lighting, shadows, half_angle,
-    depth_cue, gradients,
+    filters, glow, emission, segments, fields, noise, clipping, surfaces, refraction, opacity, lighting, shadows,
+    half_angle, depth_cue, gradients,
 )  # fmt: skip
 
 

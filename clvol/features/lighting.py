@@ -11,6 +11,7 @@ from clvol.scene.resolve import ResolvedScene
 
 NEUTRAL = Material(ambient=1.0, diffuse=0.0, specular=0.0)  # lit samples keep their colour
 _BLACK = "every light is black or of intensity 0"
+AIMED = {"spot": "spot lights", "image": "image lights"}
 
 
 def is_lit(scene: ResolvedScene) -> bool:
@@ -23,7 +24,7 @@ def is_lit(scene: ResolvedScene) -> bool:
 def analyse(found: Findings) -> None:
     scene = found.scene
     material, environment = scene.material, scene.environment
-    lights = tuple(light for light in scene.lights if _shines(light))
+    lights = tuple(_all_around(light) for light in scene.lights if _shines(light))
     shines = environment is not None and environment.intensity > 0
     idle = _why_unlit(found, lights, shines)
     found.lit = idle is None
@@ -37,6 +38,7 @@ def analyse(found: Findings) -> None:
     else:
         found.note(no("lighting", idle))
     _note_specular(found, idle)
+    _note_aimed(found, lights, idle)
     _note_environment(found, idle, reflects_environment)
 
     background = has_background(scene)
@@ -50,7 +52,15 @@ def analyse(found: Findings) -> None:
 
 
 def _shines(light: Light) -> bool:
-    return light.intensity > 0 and any(light.color)
+    return light.intensity > 0 and any(light.color) and not (light.type == "spot" and light.cone_degrees == 0)
+
+
+def _all_around(light: Light) -> Light:
+    """``light``; of a spot that shines in all directions alike, the point light that it is."""
+    if light.type != "spot" or light.cone_degrees < 180 or light.penumbra > 0:
+        return light
+    kept = {key: getattr(light, key) for key in ("position", "color", "intensity", "casts_shadow")}
+    return Light(type="point", **kept)
 
 
 def _reflects(material: Material) -> bool:
@@ -69,7 +79,8 @@ def _why_unlit(found: Findings, lights: tuple[Light, ...], shines: bool) -> str 
     if not scene.lights and scene.environment is None:
         return "the scene has no light"
     if not lights and not shines:
-        reasons = [_BLACK] if scene.lights else []
+        dark = any(light.type == "spot" and light.cone_degrees == 0 for light in scene.lights)
+        reasons = [_BLACK + (", or a spot whose cone is 0" if dark else "")] if scene.lights else []
         reasons += ["the environment's intensity is 0"] if scene.environment is not None else []
         return joined(reasons)
     if found.projection:
@@ -94,6 +105,20 @@ def _note_specular(found: Findings, idle: str | None) -> None:
         found.note(no("specular", idle))
     else:
         found.note(yes("specular", f"specular is {found.scene.material.specular:g}"))
+
+
+def _note_aimed(found: Findings, lights: tuple[Light, ...], idle: str | None) -> None:
+    for kind, name in AIMED.items():
+        given = [light for light in found.scene.lights if light.type == kind]
+        left = [light for light in lights if light.type == kind]
+        if not given:
+            found.note(no(name, f"the scene has no {kind} light"))
+        elif idle is not None or not _reflects(found.scene.material):
+            found.note(no(name, idle or "diffuse and specular are 0"))
+        elif not left:
+            found.note(no(name, f"every {kind} light is dark, has a cone of 0, or shines in all directions alike"))
+        else:
+            found.note(yes(name, counted(len(left), f"{kind} light")))
 
 
 def _note_environment(found: Findings, idle: str | None, reflected: bool) -> None:

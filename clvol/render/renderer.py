@@ -23,6 +23,7 @@ from clvol.lazily import lazily
 from clvol.opencl.context import DeviceContext
 from clvol.opencl.devices import device_name, named_devices, open_devices
 from clvol.opencl.forks import check_fork, is_forked
+from clvol.render.changed_scene import with_environment
 from clvol.render.device_group import DeviceGroup, SharedRays
 from clvol.render.frame import Frame, make_frame
 from clvol.render.frame_schedule import Schedule
@@ -34,6 +35,7 @@ from clvol.render.supersampling.picture import Source, rendered, supersampled
 from clvol.scene.camera import Camera
 from clvol.scene.channel_scenes import channel_scenes
 from clvol.scene.classification import with_classification
+from clvol.scene.environment import Environment
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume.lazy import LazyVolume
 from clvol.volume.series import StepVolume, is_other_step
@@ -340,6 +342,21 @@ class Renderer:
             resolved = with_classification(replace(self.resolved, transfer_function=function))
             check_scene(resolved)  # a blank scene may hide effects that this one has
             on_devices.prepare(resolved, wait=wait)
+            self.resolved = resolved
+            self._notices.of_scene(resolved)
+
+    def set_environment(self, environment: Environment | Mapping[str, Any] | None) -> None:
+        """Sets another [environment] for the frames to come: a ``clvol.Environment``, a dict of its keys, or None for
+        none. The file's name is relative to the scene's folder. It keeps the volume, and compiles nothing where the
+        environment before did the same: lit the scene, or was ``visible``, or both.
+
+        Raises SceneError for a file that is not there or that is no environment, and for what the method cannot do;
+        the environment before then stays.
+        """
+        with self._turn() as on_devices:
+            resolved = with_environment(self.resolved, environment)
+            check_scene(resolved)
+            on_devices.prepare(resolved)
             self.resolved = resolved
             self._notices.of_scene(resolved)
 

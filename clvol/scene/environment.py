@@ -20,8 +20,9 @@ class Environment(Table):
     """A picture of the surroundings that lights the volume: ``file`` (.exr, linear light), relative to the scene file.
 
     ``layout``: "latlong" has up (+y) in the first row and -z in the middle; "cube" is a vertical
-    strip of the square faces +x, -x, +y, -y, +z, -z. ``rotation_degrees`` rotates the map about the world's y axis.
-    ``visible``: rays that leave the volume show the map instead of the background.
+    strip of the square faces +x, -x, +y, -y, +z, -z; "sphere" is a mirror ball as seen from afar along -z, with +y up:
+    its middle mirrors +z, its rim -z, and what is around the disc is not read. ``rotation_degrees`` rotates the map
+    about the world's y axis. ``visible``: rays that leave the volume show the map instead of the background.
     """
 
     file: Annotated[str, BeforeValidator(path_text), AfterValidator(is_path)] = Field(
@@ -30,10 +31,10 @@ class Environment(Table):
         description=_FILE,
         examples=["studio.exr"],
     )
-    layout: Literal["latlong", "cube"] = Field(
+    layout: Literal["latlong", "cube", "sphere"] = Field(
         "latlong",
-        title="Latitude-longitude map, or a vertical strip of cube faces +x, -x, +y, -y, +z, -z.",
-        description="'latlong' or 'cube'",
+        title="Latitude-longitude map, a vertical strip of cube faces +x, -x, +y, -y, +z, -z, or a mirror ball.",
+        description="'latlong', 'cube' or 'sphere'",
     )
     intensity: Number = Field(
         1.0, ge=0, le=1e6,

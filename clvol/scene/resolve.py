@@ -45,6 +45,7 @@ from clvol.scene.noise import Noise
 from clvol.scene.opacity_factor import OpacityFactor
 from clvol.scene.overlay import Overlay
 from clvol.scene.pyramid import Pyramid
+from clvol.scene.refraction import RefractiveIndex
 from clvol.scene.shadow import Shadow
 from clvol.scene.slicing import Slicing
 from clvol.scene.step_times import StepTimes
@@ -106,10 +107,12 @@ class ResolvedScene:
     transfer_layers: tuple[TransferLayer, ...] = ()
     glow: Glow | None = None  # the light of associated colours; ``transfer_function`` is then black
     fields: tuple[ResolvedField, ...] = ()
-    noise: tuple[Noise, ...] = ()
+    noise: tuple[Noise, ...] = ()  # of values and coordinates
+    attenuation_noise: tuple[Noise, ...] = ()  # of scattered light
     depth_cue: DepthCue | None = None
     animation: Animation = Animation()
     channels: tuple[ResolvedChannel, ...] = ()  # whose pictures are blended; ``volume`` is that of the first
+    refraction: RefractiveIndex | None = None
     mixed_channels: int = 0  # channels that are one medium: the volume and the first densities of ``fields``
     voxel_range: tuple[float, float] | None = None  # where ``volume`` holds codes instead of voxels
     axis: ValueAxis = ValueAxis()
@@ -216,7 +219,7 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         transfer_function=function,
         background=background,
         integration=scene.integration,
-        lights=scene.light,
+        lights=tuple(light.found_in(scene.folder, scene.origin, k) for k, light in enumerate(scene.light)),
         isosurfaces=tuple(_surface(surface, decoded) for surface in scene.isosurface),
         clips=scene.clip,
         material=scene.material,
@@ -233,10 +236,12 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         directional_opacity=None if scene.directional_opacity is None else scene.directional_opacity.factor(),
         transfer_layers=generated or _layers(scene, fields, unit, decoded),
         glow=glow,
+        refraction=None if scene.refraction is None else scene.refraction.resolved(),
         fields=tuple(fields),
         channels=() if mixes or len(channels) == 1 else channels,
         mixed_channels=len(channels) if mixes else 0,
-        noise=scene.noise,
+        noise=tuple(term for term in scene.noise if term.target != "attenuation"),
+        attenuation_noise=tuple(term for term in scene.noise if term.target == "attenuation"),
         depth_cue=cue,
         animation=scene.animation,
         compression=scene.compression,

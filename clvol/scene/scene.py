@@ -105,6 +105,8 @@ class Scene(SceneTables):
         Factor on the extinction by gradient magnitude.
     directional_opacity : DirectionalOpacity, optional
         Factor on the extinction by the derivative along the ray.
+    refraction : Refraction, optional
+        An index of refraction by value, by whose gradient rays bend.
     transfer_layer : sequence of TransferLayerSettings
         Further layers of a two-dimensional transfer function.
     field : sequence of FieldSettings
@@ -255,7 +257,10 @@ class Scene(SceneTables):
     def _may_show_channels(self) -> bool:
         """Whether all channels of a file are shown where the scene selects none: it says nothing that holds for the
         values of one channel."""
-        by_value = (self.isosurface, self.transfer_layer, self.noise, self.gradient_opacity, self.directional_opacity)
+        by_value = (
+            self.isosurface, self.transfer_layer, self.noise, self.gradient_opacity, self.directional_opacity,
+            self.refraction,
+        )  # fmt: skip
         plain = isinstance(self.volume, VolumeSettings) and self.compression.codec == "none"
         return plain and self.transfer_function is None and not any(by_value) and not self.channel
 
@@ -292,6 +297,8 @@ class Scene(SceneTables):
         self.load_fields(memory_cap)
         if self.environment is not None:
             self.environment.found_in(self._folder, self._origin, memory_cap)
+        for number, light in enumerate(self.light):
+            light.found_in(self._folder, self._origin, number)
 
     def load_fields(self, memory_cap: int | None = None) -> tuple[Volume, ...]:
         """The volumes of the fields, each read once and kept.
@@ -363,9 +370,9 @@ class Scene(SceneTables):
 
     @property
     def input_paths(self) -> list[Path]:
-        """The files and folders that the scene names: volume, fields and their label tables, environment, transfer
-        function."""
-        named = [*self.field, *self.channel, self.environment, self.transfer_function]
+        """The files and folders that the scene names: volume, fields and their label tables, environment, what
+        lights project, transfer function."""
+        named = [*self.field, *self.channel, self.environment, *self.light, self.transfer_function]
         files = [getattr(table, "file", None) for table in named] + [field.labels_file for field in self.field]
         files += named_files(getattr(self.volume, "file", None), self._folder)
         return [self._folder / file for file in files if isinstance(file, str) and not is_url(file)]

@@ -31,6 +31,7 @@ from clvol.scene.noise import Noise
 from clvol.scene.opacity_factor import DirectionalOpacity, GradientOpacity
 from clvol.scene.overlay import Overlay
 from clvol.scene.pyramid import Pyramid
+from clvol.scene.refraction import Refraction
 from clvol.scene.shadow import Shadow
 from clvol.scene.slicing import Slicing
 from clvol.scene.table import AsTuple, Table, wrong
@@ -174,6 +175,11 @@ class SceneTables(Table):
         title="Factor on the extinction by the derivative along the ray.",
         description=_TABLE,
     )
+    refraction: Refraction | None = Field(
+        None,
+        title="An index of refraction by value, by whose gradient rays bend.",
+        description=_TABLE,
+    )
     transfer_layer: Annotated[tuple[TransferLayerSettings, ...], AsTuple] = Field(
         (),
         title="Further layers of a two-dimensional transfer function, by gradient magnitude.",
@@ -186,7 +192,7 @@ class SceneTables(Table):
     )
     noise: Annotated[tuple[Noise, ...], AsTuple] = Field(
         (),
-        title="Tiling noise that perturbs values or positions. At most four.",
+        title="Tiling noise that perturbs values, positions or the attenuation of scattered light. At most four.",
         description=_TABLES,
     )
     depth_cue: DepthCue | None = Field(None, title="Fading with distance from the eye.", description=_TABLE)

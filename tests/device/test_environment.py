@@ -19,7 +19,7 @@ from clvol.device.environment import (
     octahedral_coordinates,
     octahedral_directions,
 )
-from clvol.device.environment_file import cube_coordinates, cube_directions, load_radiance
+from clvol.device.environment_file import ball_coordinates, cube_coordinates, cube_directions, load_radiance
 from clvol.errors import SceneError
 from clvol.opencl.arguments import reads, value, writes
 
@@ -336,6 +336,55 @@ def test_a_cube_and_latitude_and_longitude_show_the_same(tmp_path):
         assert np.abs(difference).max() < 1e-3
 
 
+def ball_directions(n: int) -> np.ndarray:
+    """float64 [n, n, 3]: what the texels of a mirror ball show; 0 around it."""
+    at = (np.arange(n) + 0.5) * 2 / n - 1
+    v, u = np.meshgrid(-at, at, indexing="ij")
+    nz = np.sqrt(np.maximum(1 - u * u - v * v, 0))
+    return np.stack([2 * nz * u, 2 * nz * v, 2 * nz * nz - 1], axis=-1) * (u * u + v * v <= 1)[..., None]
+
+
+def test_a_mirror_ball_and_latitude_and_longitude_show_the_same(tmp_path):
+    n = 96
+    square = smooth(ball_directions(n))
+    square[~ball_directions(n).any(axis=-1)] = np.nan  # not read
+    ball = load_radiance(write_exr(tmp_path / "ball.exr", square), "sphere")
+    latlong = load_radiance(write_exr(tmp_path / "map.exr", smooth(texel_directions(n))))
+    assert ball.texels.shape == latlong.texels.shape == (n, 2 * n, 3)
+    apart = np.abs(ball.texels - latlong.texels)
+    # Around -z a ring of texels is all there is: a texel less of the disc is an angle of 2 / sqrt(n).
+    assert apart[:, np.abs(np.arange(2 * n) + 0.5 - n) > n / 4].max() < 0.02 and apart.mean() < 0.01
+    assert apart.max() < 2.0 / np.sqrt(n)
+    directions = sphere(2000)
+    of_ball, of_map = environment_maps(ball, 20.0), environment_maps(latlong, 20.0)
+    for k in ("diffuse", "specular"):
+        difference = look_up(of_ball.nodes, getattr(of_ball, k), directions) - look_up(
+            of_map.nodes, getattr(of_map, k), directions
+        )
+        assert np.abs(difference).max() < 0.01
+
+
+@pytest.mark.parametrize("u, v, direction", [
+    (0, 0, (0, 0, 1)), (np.sqrt(0.5), 0, (1, 0, 0)), (0, np.sqrt(0.5), (0, 1, 0)), (-np.sqrt(0.5), 0, (-1, 0, 0)),
+    (0.6, 0.8, (0, 0, -1)),
+])  # fmt: skip
+def test_a_mirror_ball_shows_its_surroundings_as_opengl_has_them(u, v, direction):
+    got = ball_coordinates(np.array(direction, float))
+    if direction == (0, 0, -1):
+        assert np.hypot(*got) == pytest.approx(1.0)
+    else:
+        assert got == pytest.approx((u, v), abs=1e-12)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_a_mirror_ball_of_few_texels(tmp_path, n):
+    """One texel is the same light from everywhere."""
+    radiance = load_radiance(write_exr(tmp_path / "ball.exr", np.full((n, n, 3), 0.5)), "sphere")
+    np.testing.assert_allclose(radiance.texels, 0.5, atol=1e-6)
+    maps = environment_maps(radiance, 10.0)
+    np.testing.assert_allclose(look_up(maps.nodes, maps.diffuse, sphere(50)), 0.5, atol=1e-5)
+
+
 def test_a_texel_of_a_cube_keeps_its_energy(tmp_path):
     """A sun of one texel, at faces' centres, edges and corners: its solid angle within 15 %."""
     n = 32
@@ -376,6 +425,8 @@ def _broken(kind: str, tmp_path: Path) -> tuple[Path, str]:
         write_exr(path, Y=good[..., 0])
     elif kind == "latlong":
         write_exr(path, good[:, :15])
+    elif kind == "sphere":
+        write_exr(path, good)
     elif kind in ("cube", "cross"):
         write_exr(path, np.ones((48, 9, 3)) if kind == "cube" else np.ones((32, 24, 3)))
     elif kind == "bad texels":
@@ -383,13 +434,14 @@ def _broken(kind: str, tmp_path: Path) -> tuple[Path, str]:
         write_exr(path, good)
     elif kind == "folder":
         path.mkdir()
-    return path, "cube" if kind in ("cube", "cross") else "latlong"
+    return path, {"cube": "cube", "cross": "cube", "sphere": "sphere"}.get(kind, "latlong")
 
 
 @pytest.mark.parametrize("kind, what", [
     ("missing", "No such file"), ("folder", "cannot be read"), ("text", "is not an OpenEXR file"),
     ("cut off", "cannot be read"), ("no header", "cannot be read"), ("grey", "the channels are Y"),
     ("latlong", "15 x 8 texels"), ("cube", "9 x 48 texels"), ("cross", "24 x 32 texels"),
+    ("sphere", "16 x 8 texels"),
     ("bad texels", "3 of 128 texels are negative or not finite")])  # fmt: skip
 def test_a_file_that_is_wrong_is_one_line(tmp_path, kind, what):
     path, layout = _broken(kind, tmp_path)

@@ -10,7 +10,8 @@ from reference.multiresolution import BlockField
 from clvol import Scene, TransferFunction, Volume
 from clvol.device.arguments import block_arguments, view_argument
 from clvol.features import FILTERS
-from clvol.integrators.multiresolution.caster import BlockCaster, blocks_struct
+from clvol.integrators.multiresolution.blocked_volume import blocks_struct
+from clvol.integrators.multiresolution.caster import BlockCaster
 from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
 from clvol.integrators.multiresolution.sample_allocator import overhead_bytes
 from clvol.opencl.arguments import RAW, reads, value, writes

@@ -12,6 +12,7 @@ ARRAY = waves((8, 9, 10), np.uint8)  # 0 to 255
 VOLUME = Volume(ARRAY)
 WHITE = [1.0, 1.0, 1.0]
 SUN = {"type": "directional", "direction": (0, 0, 1)}
+SPOT = {"type": "spot", "position": (5, 5, -9), "direction": (0, 0, 1)}
 CLEAR = TransferFunction([0, 255, 400], [0, 0, 1], [WHITE] * 3)  # transparent over 0 to 255
 LABELS = Volume((ARRAY > 128).astype(np.uint8))
 
@@ -37,9 +38,12 @@ CALLED = [
      ["lighting", "specular", "shadows", "gradients"]),
     ({"light": [SUN], "shadow": {"scattering": 0.4}},
      ["lighting", "specular", "shadows", "scattering", "gradients"]),
+    ({"light": [SPOT]}, ["lighting", "specular", "spot lights", "gradients"]),
     ({"isosurface": [{"value": 100.0}]}, ["isosurfaces"]),
     ({"isosurface": [{"value": 100.0, "opacity": 0.0, "refraction": 1.5}]},
      ["isosurfaces", "refraction", "gradients"]),
+    ({"refraction": {"points": [{"value": 0.0, "index": 1.0}, {"value": 90.0, "index": 1.2}]}},
+     ["continuous refraction", "gradients"]),
     ({"clip": [{"point": (3.0, 0, 0), "normal": (1.0, 0, 0)}]}, ["clipping"]),
     ({"clip": [{"type": "box", "lower": (1, 1, 1), "upper": (5, 5, 5)}]}, ["clipping"]),
     ({"clip": [{"type": "sphere", "center": (4, 4, 4), "radius": 3, "keep": "outside"}]},
@@ -129,4 +133,14 @@ IDLE = [
     ({"gradient": {"operator": "sobel"}}, "sobel gradients", "nothing needs gradients"),
     ({"light": [SUN], "gradient": {"operator": "sobel"}, "integration": {"filter": "cubic"}},
      "sobel gradients", "the filter 'cubic' has a derivative of its own"),
+    ({"light": [SUN]}, "spot lights", "the scene has no spot light"),
+    ({"light": [SUN]}, "image lights", "the scene has no image light"),
+    ({"light": [SUN, SPOT | {"cone_degrees": 180.0, "penumbra": 0.0}]}, "spot lights", "in all directions alike"),
+    ({"light": [SPOT], "material": {"diffuse": 0, "specular": 0}}, "spot lights", "diffuse and specular are 0"),
+    ({"light": [SPOT | {"cone_degrees": 0.0}]}, "spot lights", "a spot whose cone is 0"),
+    ({}, "continuous refraction", "the scene has no refraction"),
+    ({"refraction": {"points": [{"value": 300.0, "index": 1.0}, {"value": 400.0, "index": 1.2}]}},
+     "continuous refraction", "the same for all values of the volume"),
+    ({"refraction": {"points": [{"value": 0.0, "index": 1.0}, {"value": 90.0, "index": 1.2}]},
+      "function": CLEAR}, "continuous refraction", "nothing of the volume is visible"),
 ]  # fmt: skip

@@ -13,9 +13,10 @@ __kernel void light_at(SCENE_PARAMETERS COUNTS_PARAMETER, __global const float *
   const Vectors place = {LOAD_LANES(places + first), LOAD_LANES(places + n + first), LOAD_LANES(places + 2 * n + first)};
   const floatN weight = LOAD_LANES(places + 3 * n + first);
   const Vectors here = to_local(effects, place.x, place.y, place.z);
-  const float4 at = items[effects->first_light + 2 * light], intensity = items[effects->first_light + 2 * light + 1];
+  const float4 at = items[effects->first_light + LIGHT_ROWS * light];
+  const float4 intensity = items[effects->first_light + LIGHT_ROWS * light + 1];
   Vectors towards = broadcast3(at);
-  if (at.w == LIGHT_POINT) {
+  if (light_has_place(at)) {
     const Vectors way = {at.x - here.x, at.y - here.y, at.z - here.z};
     towards = unit3(way);
   }

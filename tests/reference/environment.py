@@ -1,5 +1,7 @@
 """Light from all around: a map's texels, summed one by one.
 
+Sphere: a mirror ball seen along -z, the disc inscribed in a square (OpenGL's GL_SPHERE_MAP).
+
 Latitude-longitude: u = atan2(x, -z) / 2 pi + 0.5, v = acos(y) / pi, row 0 at +y. Cube: a vertical
 strip of the faces +x -x +y -y +z -z, each as in OpenGL (seen from inside, row 0 on top).
 """
@@ -32,7 +34,11 @@ class EnvironmentMap:
         angle = np.radians(rotation_degrees)
         c, s = np.cos(angle), np.sin(angle)
         self._turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])  # map to world
-        directions, self._areas = latlong_texels(self.texels.shape[:2])
+        if layout == "sphere":
+            self.texels = ball_with_rim(self.texels)
+            directions, self._areas = ball_texels(self.texels.shape[0])
+        else:
+            directions, self._areas = latlong_texels(self.texels.shape[:2])
         if layout == "cube":
             directions, self._areas = cube_texels(self.texels.shape[1])
         self._directions = directions @ self._turn.T
@@ -61,6 +67,9 @@ class EnvironmentMap:
             u = (np.arctan2(x, -z) / (2 * np.pi) + 0.5) * width - 0.5
             v = np.arccos(np.clip(y, -1, 1)) / np.pi * height - 0.5
             return _bilinear(self.texels, u, v, wraps=True)
+        if self.layout == "sphere":
+            m = np.sqrt(2.0 * np.maximum(1.0 + z, 1e-300))  # OpenGL's: length of (x, y, z + 1)
+            return _bilinear(self.texels, (x / m + 1) / 2 * width - 0.5, (1 - y / m) / 2 * height - 0.5, wraps=False)
         out = np.zeros((len(x), 3))
         major = np.argmax(np.abs(np.stack([x, y, z])), axis=0)
         for face, (middle, column, row) in enumerate(_FACES):
@@ -114,3 +123,28 @@ def cube_texels(size: int) -> tuple[np.ndarray, np.ndarray]:
     directions = np.array(directions).reshape(-1, 3)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return directions, np.tile(areas.reshape(-1), 6)
+
+
+def ball_texels(size: int) -> tuple[np.ndarray, np.ndarray]:
+    """The same for a mirror ball: what the ball's normal at each texel mirrors of +z. A mirror ball shows equal solid
+    angles in equal areas; texels around the disc have none."""
+    at = (np.arange(size) + 0.5) * 2 / size - 1
+    v, u = np.meshgrid(-at, at, indexing="ij")
+    square = u * u + v * v
+    nz = np.sqrt(np.maximum(1 - square, 0))
+    directions = np.stack([2 * nz * u, 2 * nz * v, 2 * nz * nz - 1], axis=-1)
+    areas = np.where(square <= 1, 4.0 * (2.0 / size) ** 2, 0.0)
+    return directions.reshape(-1, 3), areas.reshape(-1)
+
+
+def ball_with_rim(texels: np.ndarray) -> np.ndarray:
+    """``texels`` with the nearest texel of the disc in place of each one around it."""
+    size = len(texels)
+    at = np.arange(size) + 0.5 - size / 2
+    y, x = np.meshgrid(at, at, indexing="ij")
+    inside = np.argwhere(x * x + y * y <= size * size / 4)
+    out = texels.copy()
+    for i, j in np.argwhere(x * x + y * y > size * size / 4):
+        k, m = inside[np.argmin(((inside - [i, j]) ** 2).sum(axis=1))]
+        out[i, j] = texels[k, m]
+    return out

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import map_coordinates
+
+from clvol.image import load_image
 
 
 def lights_that_shine(resolved) -> list:
@@ -82,7 +85,7 @@ class Shader:
             length = np.linalg.norm(half, axis=1)
             half = half / np.where(length > 0, length, 1.0)[:, None]
             shine = np.maximum(np.sum(normal * half, axis=1), 0.0) ** m.shininess
-            color_in = np.asarray(light.color, float) * light.intensity
+            color_in = np.asarray(light.color, float) * light.intensity * aimed(light, -to_light)
             shadow = np.ones_like(color)
             if self.shadows is not None and light.type != "headlight" and light.casts_shadow:
                 shadow = self.shadows.transmittance(
@@ -97,6 +100,33 @@ class Shader:
             lit += color * m.diffuse * self.environment.diffuse(normal)
             lit += m.specular * self.environment.specular(reflected, m.shininess)
         return lit
+
+
+def aimed(light, along: np.ndarray) -> np.ndarray:
+    """[n, 3] or 1: the share of a spot's or image's light that goes ``along`` [n, 3] (0 at the light itself)."""
+    if light.type not in ("spot", "image"):
+        return np.ones(1)
+    forward = np.asarray(light.direction, float) / np.linalg.norm(light.direction)
+    ahead = along @ forward
+    if light.type == "spot":
+        outer = np.radians(light.cone_degrees)
+        inner = outer * (1.0 - light.penumbra)
+        if outer == inner:
+            return np.broadcast_to((ahead > np.cos(outer))[:, None], along.shape).astype(float)
+        t = np.clip((ahead - np.cos(outer)) / (np.cos(inner) - np.cos(outer)), 0.0, 1.0)
+        return np.broadcast_to((t * t * (3.0 - 2.0 * t))[:, None], along.shape)
+    texels = load_image(light.file)["rgba"][..., :3].astype(float)
+    height, width = texels.shape[:2]
+    right = np.cross(forward, np.asarray(light.up, float))
+    right /= np.linalg.norm(right)
+    half = np.tan(np.radians(light.fov_degrees) / 2)
+    ahead = np.where(ahead > 0, ahead, np.nan)
+    u, v = along @ right / ahead / (half * width / height), -(along @ np.cross(right, forward)) / ahead / half
+    on = (np.abs(u) <= 1) & (np.abs(v) <= 1)
+    x = np.clip((np.where(on, u, 0) + 1) / 2 * width - 0.5, 0, width - 1)
+    y = np.clip((np.where(on, v, 0) + 1) / 2 * height - 0.5, 0, height - 1)
+    values = [map_coordinates(texels[..., k], [y, x], order=1, mode="nearest") for k in range(3)]
+    return np.where(on[:, None], np.stack(values, axis=1), 0.0)
 
 
 def toward(light, at: np.ndarray, view: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

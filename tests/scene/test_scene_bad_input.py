@@ -164,7 +164,7 @@ MISTAKES = [
     ("integration.table_size=1025", "integration.table_size", "1025", "from 16 to 1024"),
     ("integration.tolerance=0", "integration.tolerance", "0", "between 0 and 1"),
     # lights, planes, surfaces, further tables
-    ('light.0.type="spot"', "light.0.type", "'spot'", "'point'"),
+    ('light.0.type="laser"', "light.0.type", "'laser'", "'point'"),
     ('light.0.type="directional"', "light.0.direction", "missing", "three numbers"),
     ('light.0.type="point"', "light.0.position", "missing", "three numbers"),
     ("light.0.direction=[1,0,0]", "light.0.direction", "[1.0, 0.0, 0.0]", "no direction"),

@@ -15,15 +15,14 @@ from clvol.device.arguments import (
 )
 from clvol.device.effect_state import COUNTERS
 from clvol.device.empty_space import dilated, distance_map
+from clvol.device.projection import hidden_score
 from clvol.device.transfer_lookup import device_function, scene_nodes, segment_classification
 from clvol.device.view import ray_frame
-from clvol.device.volume import ResidentVolume
-from clvol.features import STEPPINGS
+from clvol.features import STEPPINGS, reduced_for_frames
 from clvol.features.vocabulary import BLOCK_COUNTERS, CELLS
-from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
-from clvol.integrators.multiresolution.resident_codes import ResidentCodes
-from clvol.integrators.multiresolution.sample_allocator import map_shift
+from clvol.integrators.multiresolution.blocked_volume import BlockedVolume, HeldBlocks
 from clvol.integrators.raycast.caster import SECONDS_A_SAMPLE, Raycaster
+from clvol.integrators.raycast.history import History
 from clvol.integrators.raycast.march import March
 from clvol.integrators.raycast.switches import raycast_switches
 from clvol.integrators.tiles.geometry import TileGrid
@@ -35,7 +34,6 @@ from clvol.opencl.structs import BLOCKS
 from clvol.scene.camera import Camera
 from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE
-from clvol.store.geometry import BlockGrid
 from clvol.store.source import DROPPED
 from clvol.transfer import TransferFunction
 from clvol.transfer.lookup_nodes import visible_cells
@@ -47,39 +45,8 @@ _OF_BLOCKS = (
     "VOXEL_BITS", "VOXEL_SIGNED", "VOXEL_SCALED", "VOXEL_HOLES", "VOXEL_PAIRS", "SAMPLE_BUFFERS",
     "INTERBLOCK", "FILTER", "CLASSIFICATION", "TRANSFER_PIECES",
 )  # fmt: skip
-_MORE = ["samples1", "samples2", "samples3"]
-
-HeldBlocks = DeviceBlocks | ResidentCodes
-
-
-class BlockedVolume(ResidentVolume):
-    """A volume on the device as blocks; lattice coordinates are those of ``DeviceVolume``. It has no array of all
-    voxels."""
-
-    def __init__(self, blocks: HeldBlocks) -> None:
-        self.blocks = blocks
-        self.voxels = blocks.samples[0]
-        self.values = blocks.value_map
-        self.switches = blocks.switches
-        grid = blocks.blocks
-        nz, ny, nx = grid.shape
-        self.size = max(nx, 2), max(ny, 2), max(nz, 2)
-        self.stride = (0, 0)
-        self.cell_shift = map_shift(grid, blocks.memory_bytes)
-        bz, by, bx = grid.counts
-        edge = grid.edge >> self.cell_shift
-        self.cells = bx * edge, by * edge, bz * edge
-
 
 Caster = TypeVar("Caster", bound="BlockCaster")
-
-
-def blocks_struct(grid: BlockGrid) -> np.ndarray:
-    """``Blocks`` [1] of cl/block_parameters.h."""
-    row = np.zeros(1, BLOCKS)
-    row["count"][0, :3] = grid.counts[::-1]
-    row["edge"], row["inverse_edge"], row["log_edge"] = grid.edge, 1.0 / grid.edge, grid.levels - 1
-    return row
 
 
 class BlockCaster(Raycaster):
@@ -100,12 +67,14 @@ class BlockCaster(Raycaster):
         skip: bool = True,
         tile: tuple[int, int] = (TILE, TILE),
         march: March | None = None,
+        history: History | None = None,
     ) -> None:
         self.blocks = blocks
-        grid = blocks.blocks
-        self._blocks = context.upload(blocks_struct(grid))
-        volume = BlockedVolume(blocks)
-        super().__init__(context, resolved, lanes=lanes, skip=skip, tile=tile, volume=volume, march=march)
+        self._bounds_are_new = True
+        volume = BlockedVolume(context, reduced_for_frames(resolved), blocks)
+        super().__init__(
+            context, resolved, lanes=lanes, skip=skip, tile=tile, volume=volume, march=march, history=history
+        )
 
     @property
     def structs(self) -> dict[str, np.dtype]:
@@ -134,7 +103,6 @@ class BlockCaster(Raycaster):
         warp = self.nodes.warp
         self.warp = self.context.upload(np.zeros(2, np.float32) if warp is None else warp)
         self._set_switches()
-        self.light_volume_samples = 0
         self.without_surfaces = None
         self.set_resident()
 
@@ -163,15 +131,35 @@ class BlockCaster(Raycaster):
         if stepping != self.stepping:
             self.stepping = stepping
             self._set_switches()
-        found = self._cells_that_show(*self._visible)
+        if self.resolved.integration.compositing == "over":
+            found = self._cells_that_show(*self._visible)
+        else:
+            found = self._projected_cells()
         self._set_steps()
         self.shown_cells, self.hole_cells = found != CELLS["empty"], found == CELLS["beside-holes"]
         self.shown = self.shown_cells
         if self.resolved.isosurfaces:
             self.shown = self.shown | self._surface_cells()
+        if self.effects.switches and (fields := self.effects.fields):
+            self.shown = (self.shown | fields.shown) & fields.kept
         self.visible_share = float(self.shown.mean())
         self.march.find_empty_space(self, self.shown)
+        self.light_volume_samples = 0
+        if self._casts_shadows:
+            self._build_shadows()
         self.march.scene_changed(self)
+
+    def _projected_cells(self) -> np.ndarray:
+        """As ``_cells_that_show``, of a projection: all, since a mean may be a value that occurs in no cell, if the
+        function shows anything. The effects get the bounds of what is resident."""
+        assert isinstance(self.volume, BlockedVolume)
+        if not self._bounds_are_new:
+            self.volume.forget()
+            self.effects.update_projection(self.resolved, self.volume)
+        self._bounds_are_new = False
+        self.effects.set_hidden(hidden_score(self.resolved.integration.compositing, self.gate))
+        shows = any(map(np.any, self._visible))
+        return np.full(self.volume.cells[::-1], CELLS["visible" if shows else "empty"], np.uint8)
 
     def _surface_cells(self) -> np.ndarray:
         """As in ``Raycaster``, of the resident blocks. Cells of voxels lie across the cells of blocks: those beside
@@ -274,9 +262,8 @@ class BlockCaster(Raycaster):
         return block_arguments(len(self.blocks.samples))
 
     def _resident_arrays(self) -> dict[str, DeviceArray]:
-        blocks = self.blocks
-        arrays = {"index": blocks.index, "corners": blocks.corners, "blocks": self._blocks}
-        return {**arrays, **dict(zip(_MORE, blocks.samples[1:]))}
+        assert isinstance(self.volume, BlockedVolume)
+        return self.volume.arrays
 
     def _block_arrays(self) -> dict[str, DeviceArray]:
         arrays = self._resident_arrays()

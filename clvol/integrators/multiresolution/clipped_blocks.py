@@ -16,7 +16,7 @@ from clvol.scene.clip import Clip
 from clvol.store.geometry import BlockGrid
 from clvol.volume.grid import Grid
 
-_MARGIN = 2.0  # voxels: a gradient's reach, and half a voxel of what is blended between blocks
+MARGIN = 2.0  # voxels: a gradient's reach, and half a voxel of what is blended between blocks
 _POINTS = (np.arange(4) + 0.5) / 4  # of an axis of a block, where is looked how much of it is kept
 _PIECE = 1 << 12  # blocks that are looked at together
 
@@ -61,7 +61,7 @@ def _outside(clip: Clip, grid: Grid, axes: BlockAxes, z: slice) -> np.ndarray:
     """bool [1, by, bx]: blocks without a point in the convex set of ``clip``."""
     if clip.type == "plane":
         normal = _direction(clip)
-        return axes.along(normal, z) + axes.reach(normal, z, _MARGIN) < 0
+        return axes.along(normal, z) + axes.reach(normal, z, MARGIN) < 0
     low, high = _ranges(axes, z)
     if clip.type == "box":
         size = (np.asarray(clip.upper) - np.asarray(clip.lower)) / grid.smallest_edge
@@ -84,7 +84,7 @@ def _ranges(axes: BlockAxes, z: slice) -> tuple[list[np.ndarray], list[np.ndarra
     """Where the blocks begin and end along the world's axes, from the point of ``axes``."""
     low, high = [], []
     for axis in np.eye(3):
-        middle, reach = axes.along(axis, z), axes.reach(axis, z, _MARGIN)
+        middle, reach = axes.along(axis, z), axes.reach(axis, z, MARGIN)
         low.append(middle - reach)
         high.append(middle + reach)
     return low, high

@@ -13,11 +13,18 @@ from clvol.errors import SceneError
 from clvol.integrators.multiresolution.choice_selection import Chosen, select_choices
 from clvol.integrators.multiresolution.code_choices import Choices, choices_of
 from clvol.integrators.multiresolution.coded_source import CodedSource
+from clvol.integrators.multiresolution.residency import memory_of_blocks
 from clvol.integrators.multiresolution.resident_codes import ResidentCodes, Wanted
-from clvol.integrators.multiresolution.scene_errors import EffectsOnBlocks, effects_on_blocks, scene_errors
-from clvol.integrators.multiresolution.selection import SourceErrors, source_errors
+from clvol.integrators.multiresolution.scene_errors import (
+    EffectsOnBlocks,
+    effects_on_blocks,
+    function_errors,
+    scene_errors,
+    shown_colors,
+)
+from clvol.integrators.multiresolution.selection import SourceErrors
 from clvol.integrators.multiresolution.view_weight import view_weights, visibility
-from clvol.integrators.multiresolution.visible_error import ShownColors
+from clvol.integrators.raycast.history import History
 from clvol.opencl.context import DeviceContext
 from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE
@@ -41,13 +48,14 @@ class CodedResidency:
 
     def __init__(self, context: DeviceContext, source: CodedSource, resolved: ResolvedScene) -> None:
         self.source, self._origin = source, resolved.origin
-        self.memory_bytes = resolved.multiresolution.memory_bytes
+        self.memory_bytes = memory_of_blocks(resolved)
         self.choices: Choices = choices_of(context, source, self.memory_bytes // _BATCH_SHARE)
         self.blocks = ResidentCodes(context, source, self.memory_bytes)
         self.chosen: Chosen | None = None
         self._errors: tuple[TransferFunction, np.ndarray, EffectsOnBlocks, SourceErrors, np.ndarray] | None = None
         self._means = np.concatenate([part.mean[-1] for part in source.statistics()])
         self._request: tuple = ()
+        self.history = History()  # of pictures of these blocks
         self.generation = 0  # increases whenever something on the device has changed
 
     def ask(
@@ -95,8 +103,8 @@ class CodedResidency:
             if old_function == function and np.array_equal(old_background, background) and old_effects == effects:
                 return known, of_choices
         source = self.source
-        found = scene_errors(source, source_errors(source, function, background), effects, background)
-        shown = ShownColors(function, source.blocks.edge * source.grid.smallest_edge, background)
+        found = scene_errors(source, function_errors(source, function, background, effects), effects, background)
+        shown = shown_colors(source, function, background, effects)
         errors = np.zeros((len(self.choices.level), source.blocks.count), np.float32)
         for part in source.statistics():
             piece = slice(part.first, part.first + len(part.reach_low))
@@ -151,7 +159,7 @@ class CodedResidency:
         whole = int(decoded.sum())
         frame = ray_frame(resolved.camera, self.source.grid, image.width, image.height)
         grids = self.source.grid, self.source.blocks
-        reach = float(effects_on_blocks(resolved)[1])
+        reach = float(effects_on_blocks(resolved).needs_gradients)
         ranges = seen_by_tiles(frame, *grids, wanted.level, (image.width, image.height), tile, reach)
         of_tiles = sums_over_tiles(ranges, decoded, -(-image.width // TILE), -(-image.height // TILE))
         least = max(int(of_tiles.max(initial=0)), least_pool(decoded, self.source.blocks), total // _POOL_SHARE)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
+from clvol.device.fields import field_bytes
 from clvol.device.voxels import as_rendered
 from clvol.errors import SceneError
 from clvol.features import called_for, reduced_for_frames
@@ -14,11 +15,14 @@ from clvol.integrators.multiresolution.caster import block_switches
 from clvol.integrators.multiresolution.coded_residency import CodedResidency
 from clvol.integrators.multiresolution.coded_source import CodedSource, is_coded
 from clvol.integrators.multiresolution.engine import MultiresolutionEngine
-from clvol.integrators.multiresolution.residency import Residency, block_source
+from clvol.integrators.multiresolution.residency import Residency, block_source, memory_of_blocks
 from clvol.integrators.multiresolution.sample_allocator import map_shift, most_bytes
 from clvol.integrators.pyramid.blocks import block_pyramid_switches
 from clvol.integrators.pyramid.layout import block_pyramid_bytes
+from clvol.integrators.raycast.history import unsupported
+from clvol.integrators.raycast.reprojection import MARGIN
 from clvol.scene.resolve import ResolvedScene
+from clvol.scene.sizes import format_size
 from clvol.store.geometry import BlockGrid
 from clvol.volume import Volume
 from clvol.volume.lazy import FilledVolume
@@ -33,8 +37,9 @@ _KEYS = {
     "voxel_precision": ("stored",),
 }
 _EFFECTS = PLAIN | {
-    "clipping", "lighting", "specular", "environment", "environment background", "gradients", "depth cueing",
-    "isosurfaces",
+    "clipping", "lighting", "specular", "spot lights", "image lights", "environment", "environment background",
+    "gradients", "depth cueing", "isosurfaces", "projection", "shadows", "scattering",
+    "label field", "density field", "mask field", "color field",
 }  # fmt: skip
 _BUDGETS = 2  # volumes and budgets whose blocks stay resident: they hold all the memory
 
@@ -63,7 +68,28 @@ class Multiresolution:
             refuse_effects(resolved, "multiresolution.stepping", "pyramid", "limited", PLAIN)
         refuse_effects(resolved, "integration.method", self.name, "raycast", _EFFECTS)
         self._check_gradients(resolved)
+        self._check_shadows(resolved)
+        self._check_fields(resolved)
         refuse_quadrature(resolved)
+
+    def _check_fields(self, resolved: ResolvedScene) -> None:
+        settings, taken = resolved.multiresolution, field_bytes(reduced_for_frames(resolved))
+        if 2 * taken > settings.memory_bytes:
+            where = f"{resolved.origin}: multiresolution.memory"
+            what = f"got {settings.memory}, of which the voxels of fields take {format_size(taken)}"
+            raise SceneError(where, what, f"at least {format_size(2 * taken)}, or smaller fields")
+
+    def _check_shadows(self, resolved: ResolvedScene) -> None:
+        if "shadows" not in called_for(resolved) or resolved.shadow is None:
+            return
+        if resolved.shadow.method == "rays":
+            where = f"{resolved.origin}: shadow.method"
+            what = "got 'rays' with the method 'multiresolution', which casts none from samples of blocks"
+            raise SceneError(where, what, "'volume', or the method 'raycast'")
+        if resolved.compression.decode == "resident":
+            where = f"{resolved.origin}: compression.decode"
+            what = "got 'resident' in a scene with shadows, whose rays pass blocks of all tiles at once"
+            raise SceneError(where, what, "'auto', or a scene without shadows")
 
     def _check_gradients(self, resolved: ResolvedScene) -> None:
         got = resolved.gradient.storage
@@ -117,11 +143,16 @@ class Multiresolution:
         if _slices(resolved):
             return {"pyramid.cl": block_pyramid_switches(resolved, lanes) | of_samples}
         switches = block_switches(resolved, lanes, True) | of_samples
-        programs = {"raycast.cl": switches}
+        reprojects = resolved.coherence.mode == "reproject" and not unsupported(resolved, switches)
+        programs = {"raycast.cl": {**switches, **({"COHERENT": 1} if reprojects else {})}}
+        if reprojects:
+            programs["reproject.cl"] = {"MARGIN": MARGIN}
         if resolved.multiresolution.tiles:
             programs["tile_rays.cl"] = switches
         if resolved.image.refines:
             programs["listed_rays.cl"] = switches
+        if switches.get("SHADOWS"):
+            programs["light_volume.cl"] = switches
         return programs
 
     def sources(self, resolved: ResolvedScene) -> tuple[Sequence[str], bytes]:
@@ -138,7 +169,7 @@ class Multiresolution:
     def prepare(
         self, shared: Shared, resolved: ResolvedScene, progress: Progress | None = None, wait: bool | None = None
     ) -> Prepared:
-        source, memory = block_source(resolved.volume), resolved.multiresolution.memory_bytes
+        source, memory = block_source(resolved.volume), memory_of_blocks(resolved)
         if resolved.compression.decode == "resident" and is_coded(source):
             coded = cast(CodedSource, source)
             codes = shared.keep(

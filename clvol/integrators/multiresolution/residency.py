@@ -7,10 +7,18 @@ from typing import Any
 
 import numpy as np
 
+from clvol.device.fields import field_bytes
 from clvol.errors import SceneError
+from clvol.features import reduced_for_frames
 from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
-from clvol.integrators.multiresolution.scene_errors import EffectsOnBlocks, effects_on_blocks, scene_errors
-from clvol.integrators.multiresolution.selection import Selection, SourceErrors, select_blocks, source_errors
+from clvol.integrators.multiresolution.scene_errors import (
+    EffectsOnBlocks,
+    effects_on_blocks,
+    function_errors,
+    scene_errors,
+)
+from clvol.integrators.multiresolution.selection import Selection, SourceErrors, select_blocks
+from clvol.integrators.raycast.history import History
 from clvol.opencl.context import DeviceContext
 from clvol.scene.resolve import ResolvedScene
 from clvol.store.source import DROPPED, BlockSource
@@ -25,6 +33,11 @@ def block_source(volume: Volume) -> BlockSource:
     return VolumeBlocks(volume) if found is None else found
 
 
+def memory_of_blocks(resolved: ResolvedScene) -> int:
+    """Bytes of ``multiresolution.memory`` that fields leave for blocks."""
+    return resolved.multiresolution.memory_bytes - field_bytes(reduced_for_frames(resolved))
+
+
 class Residency:
     """The blocks of one volume within one budget.
 
@@ -34,18 +47,19 @@ class Residency:
 
     def __init__(self, context: DeviceContext, resolved: ResolvedScene) -> None:
         self.source = block_source(resolved.volume)
-        memory = resolved.multiresolution.memory_bytes
+        memory = memory_of_blocks(resolved)
         try:
             self.blocks = DeviceBlocks(context, self.source, memory)
         except SceneError as error:
             raise SceneError(f"{resolved.origin}: {error.where}", error.what, error.expected) from None
         self.memory_bytes = memory
         self.selection: Selection | None = None
-        self._errors: tuple[TransferFunction, np.ndarray, SourceErrors] | None = None
+        self._errors: tuple[TransferFunction, np.ndarray, str, SourceErrors] | None = None
         self._with_effects: tuple[SourceErrors, EffectsOnBlocks, SourceErrors] | None = None
         self._means: np.ndarray | None = None
         self._request: tuple = ()
         self._waits = True
+        self.history = History()  # of pictures of these blocks
         self.generation = 0  # increases whenever something on the device has changed
 
     def ask(
@@ -83,6 +97,7 @@ class Residency:
         self.selection = select_blocks(
             self.source, function, resolved.background, camera, resolved.image,
             self.blocks.sample_bytes, occlusion=settings.occlusion, known=known,
+            least_share=effects.least_share,
         )  # fmt: skip
         self._request = request
         if wait:
@@ -102,19 +117,22 @@ class Residency:
     def _scene_errors(
         self, function: TransferFunction, background: np.ndarray, effects: EffectsOnBlocks
     ) -> SourceErrors:
-        known = self._source_errors(function, background)
+        known = self._source_errors(function, background, effects)
         if self._with_effects is None or self._with_effects[:2] != (known, effects):
             found = scene_errors(self.source, known, effects, background)
             self._with_effects = known, effects, found
         return self._with_effects[2]
 
-    def _source_errors(self, function: TransferFunction, background: np.ndarray) -> SourceErrors:
+    def _source_errors(
+        self, function: TransferFunction, background: np.ndarray, effects: EffectsOnBlocks
+    ) -> SourceErrors:
         if self._errors is not None:
-            old_function, old_background, errors = self._errors
-            if old_function == function and np.array_equal(old_background, background):
+            old_function, old_background, compositing, errors = self._errors
+            same = np.array_equal(old_background, background) and compositing == effects.compositing
+            if old_function == function and same:
                 return errors
-        errors = source_errors(self.source, function, background)
-        self._errors = function, np.array(background), errors
+        errors = function_errors(self.source, function, background, effects)
+        self._errors = function, np.array(background), effects.compositing, errors
         return errors
 
     def close(self) -> None:

@@ -4,12 +4,18 @@ on the wrong side of them."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from clvol.device.fields import kept_blocks
 from clvol.features import called_for, reduced_for_frames
-from clvol.integrators.multiresolution.clipped_blocks import kept_shares, removed_blocks
+from clvol.integrators.multiresolution.clipped_blocks import MARGIN, kept_shares, removed_blocks
+from clvol.integrators.multiresolution.projection_errors import projected_colors, projection_errors
 from clvol.integrators.multiresolution.selection import SourceErrors, source_errors
+from clvol.integrators.multiresolution.visible_error import ShownColors
 from clvol.scene.clip import Clip
+from clvol.scene.field import ResolvedField
 from clvol.scene.isosurface import Isosurface
 from clvol.scene.resolve import ResolvedScene
 from clvol.store.geometry import BlockGrid
@@ -19,15 +25,52 @@ from clvol.volume.grid import Grid
 
 # What an error beside a block counts for: of its voxels one layer has a share in the gradients there.
 _BESIDE = 1.0 / 16.0
+# What an error counts for that nobody sees, beside one in the middle of the picture, where it may cast a shadow.
+_OF_SHADOWS = 1.0 / 64.0
 
-EffectsOnBlocks = tuple[tuple[Clip, ...], bool, tuple[Isosurface, ...]]
+
+@dataclass(frozen=True)
+class EffectsOnBlocks:
+    """What of a scene's effects matters to the choice of blocks: its clips, whether anything needs gradients, its
+    surfaces, its compositing, whether there are shadows, which what is not seen casts, too, and its masks."""
+
+    clips: tuple[Clip, ...] = ()
+    needs_gradients: bool = False
+    surfaces: tuple[Isosurface, ...] = ()
+    compositing: str = "over"
+    casts_shadows: bool = False
+    masks: tuple[ResolvedField, ...] = ()
+
+    @property
+    def least_share(self) -> float:
+        """As in ``select_blocks``."""
+        return _OF_SHADOWS if self.casts_shadows else 0.0
 
 
 def effects_on_blocks(resolved: ResolvedScene) -> EffectsOnBlocks:
-    """What of a scene's effects matters to the choice of blocks: its clips, whether anything needs gradients, and its
-    surfaces."""
     reduced = reduced_for_frames(resolved)
-    return reduced.clips, "gradients" in called_for(resolved), reduced.isosurfaces
+    return EffectsOnBlocks(
+        reduced.clips, "gradients" in called_for(resolved), reduced.isosurfaces, reduced.integration.compositing,
+        reduced.shadow is not None, tuple(field for field in reduced.fields if field.role == "mask"),
+    )  # fmt: skip
+
+
+def function_errors(
+    source: BlockSource, function: TransferFunction, background: np.ndarray, effects: EffectsOnBlocks
+) -> SourceErrors:
+    """The errors of ``source`` under ``function`` over ``background`` (linear [3]), by the scene's compositing."""
+    if effects.compositing == "over":
+        return source_errors(source, function, background)
+    return projection_errors(source, function, background, effects.compositing)
+
+
+def shown_colors(
+    source: BlockSource, function: TransferFunction, background: np.ndarray, effects: EffectsOnBlocks
+) -> ShownColors:
+    """What is shown of one value all through a block."""
+    if effects.compositing == "over":
+        return ShownColors(function, source.blocks.edge * source.grid.smallest_edge, background)
+    return projected_colors(function, background)
 
 
 def scene_errors(
@@ -35,8 +78,8 @@ def scene_errors(
 ) -> SourceErrors:
     """``known``, the errors of ``source`` under the transfer function alone over ``background`` (linear [3]), with the
     ``effects`` of a scene."""
-    if effects[2]:
-        known = _with_surfaces(source, known, effects[2], background)
+    if effects.surfaces:
+        known = _with_surfaces(source, known, effects.surfaces, background)
     return with_effects(known, effects, source.grid, source.blocks)
 
 
@@ -65,8 +108,8 @@ def _with_surfaces(
 
 
 def with_effects(known: SourceErrors, effects: EffectsOnBlocks, grid: Grid, blocks: BlockGrid) -> SourceErrors:
-    """``known``, errors of what shows, with clips and gradients of ``effects``, over ``blocks`` of ``grid``."""
-    clips, needs_gradients, _ = effects
+    """``known``, errors of what shows, with clips, masks and gradients of ``effects``, over ``blocks`` of ``grid``."""
+    clips, needs_gradients = effects.clips, effects.needs_gradients
     errors, dropped, transmittances = known.errors, known.dropped, known.transmittances
     if needs_gradients and dropped.any():
         beside = dropped & _largest_around(~dropped, blocks)
@@ -78,6 +121,11 @@ def with_effects(known: SourceErrors, effects: EffectsOnBlocks, grid: Grid, bloc
         removed = removed_blocks(clips, grid, blocks)
         shares = kept_shares(clips, grid, blocks, ~removed & (transmittances < 1.0))
         transmittances = np.where(removed, np.float32(1.0), transmittances**shares)
+        errors = np.where(removed, np.float32(0.0), errors)
+        dropped = dropped | removed
+    if effects.masks:
+        removed = ~kept_blocks(effects.masks, grid, blocks.counts, blocks.edge, MARGIN).ravel()
+        transmittances = np.where(removed, np.float32(1.0), transmittances)
         errors = np.where(removed, np.float32(0.0), errors)
         dropped = dropped | removed
     return SourceErrors(errors, dropped, transmittances)

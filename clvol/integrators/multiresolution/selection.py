@@ -101,13 +101,15 @@ def select_blocks(
     overhead_bytes: int = 0,
     occlusion: bool = False,
     known: SourceErrors | None = None,
+    least_share: float = 0.0,
 ) -> Selection:
     """The levels of ``source``'s blocks with the least visible error within ``memory_bytes``, of which
     ``overhead_bytes`` are taken.
 
     ``camera`` (complete): errors are weighted by the pixels that a block covers in its picture of the size of
     ``image``, and with ``occlusion`` by the light that reaches the eye, too; None: all blocks count
-    alike. ``known``: ``source_errors`` of the same source, function and background, which need not be
+    alike. ``least_share``: what is not seen counts for at least this share of what is seen best, since it casts shadows
+    on it, for example. ``known``: ``source_errors`` of the same source, function and background, which need not be
     computed again for a new view.
 
     SceneError if not even one sample per block fits.
@@ -126,9 +128,10 @@ def select_blocks(
     if camera is not None:
         errors = errors if known is None else errors.copy()
         grid, blocks = source.grid, source.blocks
-        view_weights(camera, grid, blocks, image.width, image.height).apply(errors)
+        weights = view_weights(camera, grid, blocks, image.width, image.height)
+        weights.with_least(least_share).apply(errors)
         if occlusion:
-            errors *= visibility(camera, grid, blocks, found.transmittances)
+            errors *= np.maximum(visibility(camera, grid, blocks, found.transmittances), np.float32(least_share))
     return select_levels(errors, cost, found.dropped, memory_bytes - overhead_bytes)
 
 

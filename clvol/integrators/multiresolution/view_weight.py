@@ -8,7 +8,7 @@ three short arrays. Lengths are in units of the smallest voxel edge, from the ey
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,6 +35,10 @@ class ViewWeights:
 
     pixels: np.ndarray
     spacing: np.ndarray
+
+    def with_least(self, share: float) -> ViewWeights:
+        """The same, with areas of at least ``share`` of the largest."""
+        return self if share == 0 else replace(self, pixels=np.maximum(self.pixels, share * self.pixels.max()))
 
     def apply(self, errors: np.ndarray, first: int = 0) -> np.ndarray:
         """Weights ``errors`` [levels, k] of the blocks from ``first`` on, in place; returns them.

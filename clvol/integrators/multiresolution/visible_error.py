@@ -23,13 +23,13 @@ _OF_VOXELS = 0.1
 # that a few visible voxels are not lost in the group's mean. With them a histogram has 16 nodes.
 _TAIL = np.array([0.0, 0.5, 0.75, 0.9, 0.97, 1.0])
 _SHARES = np.diff(_TAIL)
-_WEIGHTS = np.concatenate([_SHARES[::-1], np.ones(QUANTILES - 2), _SHARES]) / QUANTILES
-_WEIGHTS = _WEIGHTS.astype(np.float32)
+NODE_WEIGHTS = np.concatenate([_SHARES[::-1], np.ones(QUANTILES - 2), _SHARES]) / QUANTILES
+NODE_WEIGHTS = NODE_WEIGHTS.astype(np.float32)
 # Orders that pair each node with low and high ones of the level alike: bits of the number reversed,
 # and the mirror image. Of the tails, the level's nodes contain only the greatest part.
 _REVERSED = np.array([int(f"{k:03b}"[::-1], 2) for k in range(QUANTILES)])
-_HEAVY = len(_SHARES) - 1 + _REVERSED[np.arange(len(_WEIGHTS)) % QUANTILES]
-_ORDERS = (_HEAVY, len(_WEIGHTS) - 1 - _HEAVY)
+_HEAVY = len(_SHARES) - 1 + _REVERSED[np.arange(len(NODE_WEIGHTS)) % QUANTILES]
+_ORDERS = (_HEAVY, len(NODE_WEIGHTS) - 1 - _HEAVY)
 
 
 def transparent(statistics: BlockStatistics, function: TransferFunction) -> np.ndarray:
@@ -113,13 +113,13 @@ class ShownColors:
 
     def mixture(self, places: np.ndarray) -> list[np.ndarray]:
         """L*, u* and v* [k] of a ray's colour after a sixteenth of the path in a mixture of the values
-        ``places`` [k, nodes], weighted by ``_WEIGHTS``."""
+        ``places`` [k, nodes], weighted by ``NODE_WEIGHTS``."""
         return self.mixture_of((places,))
 
     def mixture_of(self, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
         """As ``mixture``, of several sets of values in equal shares."""
         depth, *emission = (
-            sum(component.take(places) @ _WEIGHTS for places in parts) / len(parts) for component in self._medium
+            sum(component.take(places) @ NODE_WEIGHTS for places in parts) / len(parts) for component in self._medium
         )
         alpha = -np.expm1(-depth)
         share = np.where(depth > 0, alpha / np.where(depth > 0, depth, 1.0), 0.0)
@@ -221,7 +221,7 @@ def noise_errors(statistics: BlockStatistics, deviation: np.ndarray, shown: Show
     blocks = np.flatnonzero((deviation > 0) & (statistics.minimum[0] < statistics.maximum[0]))
     for first in range(0, len(blocks), _PIECE):
         part = blocks[first : first + _PIECE]
-        nodes = _nodes(statistics.quantiles[0, part], statistics.minimum[0, part], statistics.maximum[0, part])
+        nodes = histogram_nodes(statistics.quantiles[0, part], statistics.minimum[0, part], statistics.maximum[0, part])
         amount = np.asarray(deviation[part], np.float64)[:, None]
         places = shown.places(nodes), shown.places(nodes - amount), shown.places(nodes + amount)
         whole, *moved = (shown.luv(each) for each in places)
@@ -236,7 +236,7 @@ def _mixture_errors(
     quantiles: np.ndarray, minimum: np.ndarray, maximum: np.ndarray, shown: ShownColors
 ) -> np.ndarray:
     """float32 [levels, k]: Delta-E between the mixtures of the block's values and of each level's."""
-    nodes = (_nodes(*level) for level in zip(quantiles, minimum, maximum))
+    nodes = (histogram_nodes(*level) for level in zip(quantiles, minimum, maximum))
     full, *others = (shown.mixture(shown.places(values)) for values in nodes)
     out = np.zeros(quantiles.shape[:2], np.float32)
     for level, luv in enumerate(others, 1):
@@ -253,17 +253,17 @@ def _estimate(
 ) -> np.ndarray:
     """float32 [levels, k] for k blocks, level by level."""
     out = np.zeros(deviation.shape, np.float32)
-    full = _nodes(quantiles[0], minimum[0], maximum[0])
+    full = histogram_nodes(quantiles[0], minimum[0], maximum[0])
     full_luv = shown.luv(shown.places(full))
     low, high = minimum[0][:, None], maximum[0][:, None]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        spread = full - (full * _WEIGHTS).sum(axis=1)[:, None]
+        spread = full - (full * NODE_WEIGHTS).sum(axis=1)[:, None]
         # The last level is one sample: its deviation is the block's own.
         parts = np.where(deviation[-1] > 0, np.minimum(deviation / deviation[-1], 1.0), 0.0)
     parts = np.nan_to_num(parts)
     last = len(quantiles) - 1
     for level in range(last, 0, -1):
-        samples = _nodes(quantiles[level], minimum[level], maximum[level])
+        samples = histogram_nodes(quantiles[level], minimum[level], maximum[level])
         luv = shown.luv(shown.places(samples))
         plain = _mean_delta_e(full_luv, luv)
         if level == last:
@@ -280,8 +280,8 @@ def _estimate(
     return out
 
 
-def _nodes(quantiles: np.ndarray, minimum: np.ndarray, maximum: np.ndarray) -> np.ndarray:
-    """float64 [k, 16], ascending, of weights ``_WEIGHTS``: ``quantiles`` [k, 8] with the outer two
+def histogram_nodes(quantiles: np.ndarray, minimum: np.ndarray, maximum: np.ndarray) -> np.ndarray:
+    """float64 [k, 16], ascending, of weights ``NODE_WEIGHTS``: ``quantiles`` [k, 8] with the outer two
     in parts."""
     q = quantiles.astype(np.float64)
     with np.errstate(invalid="ignore", over="ignore", divide="ignore", under="ignore"):
@@ -310,7 +310,7 @@ def _mean_delta_e(a: list[np.ndarray], b: list[np.ndarray]) -> np.ndarray:
         difference = one - other
         difference *= difference
         squares += difference
-    return np.sqrt(squares, out=squares) @ _WEIGHTS
+    return np.sqrt(squares, out=squares) @ NODE_WEIGHTS
 
 
 def block_transmittances(statistics: BlockStatistics, shown: ShownColors) -> np.ndarray:

@@ -24,8 +24,8 @@ from clvol.scene.resolve import ResolvedScene
 _KEYS: dict[str, tuple[str, ...]] = {"quadrature": ("steps",), "compositing": ("over",)}
 _EFFECTS = PLAIN | {"cubic filter", "catmull-rom filter", "prefilter", "colour cycling"}
 _LIT_EFFECTS = _EFFECTS | {
-    "lighting", "specular", "environment", "shadows", "scattering", "half-angle slices", "gradients",
-    "sobel gradients", "precomputed gradients", "noise", "clipping", "depth cueing",
+    "lighting", "specular", "spot lights", "image lights", "environment", "shadows", "scattering",
+    "half-angle slices", "gradients", "sobel gradients", "precomputed gradients", "noise", "clipping", "depth cueing",
 }  # fmt: skip
 
 

@@ -6,16 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.block_scenes import SHOWN, block_scene, noise, picture_of, random_levels, resident, twin_of
-from helpers.effect_scenes import LIGHTS, MATERIAL
+from helpers.block_effects import ALL, CLIPS, LIT, SHAPE, SPOTS, SURFACES, rendered, scene, smooth, twin
+from helpers.block_scenes import SHOWN, block_scene, noise, picture_of, random_levels, twin_of
+from helpers.effect_scenes import LIGHTS
 from helpers.small_scenes import waves
 from reference.block_medium import BlockMediumField
-from reference.march import render_twin
 
-from clvol import Camera, Scene, Volume
+from clvol import Camera, Volume
 from clvol.errors import SceneError
 from clvol.explanation import explain, kernel_hash
-from clvol.integrators.multiresolution.caster import BlockCaster
 from clvol.integrators.multiresolution.clipped_blocks import removed_blocks
 from clvol.integrators.multiresolution.engine import MultiresolutionEngine
 from clvol.integrators.raycast.caster import Raycaster
@@ -23,50 +22,6 @@ from clvol.integrators.registry import check_scene
 from clvol.store.geometry import BlockGrid
 from clvol.store.source import DROPPED
 from clvol.store.volume_blocks import VolumeBlocks
-
-SHAPE = (40, 33, 50)
-CAMERA = Camera(position=(-55.0, -38.0, -61.0), target=(25.0, 16.0, 20.0), fov_degrees=28.0)
-CLIPS = [
-    {"type": "plane", "point": [10.0, 14.0, 18.0], "normal": [0.4, 0.5, 1.0]},
-    {"type": "sphere", "center": [38.0, 18.0, 22.0], "radius": 9.0, "keep": "outside"},
-    {"type": "box", "lower": [-5.0, -5.0, -5.0], "upper": [46.3, 30.1, 37.7]},
-]
-LIT = {"light": list(LIGHTS), "material": MATERIAL, "gradient": {"storage": "on-the-fly"}}
-CUE = {"depth_cue": {"start": 60.0, "end": 130.0, "strength": 0.7, "color": [0.1, 0.3, 0.5]}}
-ALL = {"clip": CLIPS, **LIT, **CUE}
-SURFACES = {
-    "isosurface": [
-        {"value": 150.0, "opacity": 0.6, "color": [0.8, 0.3, 0.2]},
-        {"value": 90.0, "opacity": 0.3, "color": [0.2, 0.5, 0.9]},
-    ],
-    **ALL,
-}
-
-
-def scene(volume=None, classification="post", method="multiresolution", width=24, height=20, **tables):
-    integration = {"method": method, "early_termination": 0.0, "classification": classification, "step": 0.83}
-    given = {"camera": CAMERA, "transfer_function": SHOWN, **tables}
-    integration |= given.pop("integration", {})
-    return Scene(
-        volume=noise(SHAPE) if volume is None else volume, integration=integration,
-        image={"width": width, "height": height}, **given,
-    ).resolve()  # fmt: skip
-
-
-def rendered(context, resolved, levels, edge=16, largest_buffer=None, **how):
-    check_scene(resolved)
-    blocks = resident(context, resolved.volume, levels, edge, largest_buffer)
-    return picture_of(BlockCaster(context, resolved, blocks, **how))
-
-
-def twin(resolved, levels, edge=16):
-    field = BlockMediumField(twin_of(resolved.volume, levels, edge), resolved.volume.grid)
-    return render_twin(resolved, field=field)
-
-
-def smooth() -> Volume:
-    return Volume(waves(SHAPE, np.uint8))
-
 
 # ---- against the twin ----
 
@@ -84,10 +39,12 @@ def test_pictures_are_the_twins(context, classification, tables):
     assert expected[..., 3].max() > 0.3
 
 
-def test_each_light_counts(context):
-    """Two scenes of different light are not the same picture, and neither is the unlit one."""
+@pytest.mark.parametrize("lights", [LIGHTS[:2], pytest.param(SPOTS, marks=pytest.mark.slow)], ids=["", "spots"])
+def test_each_light_counts(context, lights):
+    """Two scenes of different light are not the same picture, and neither is the unlit one. (Spots compile a program
+    of their own.)"""
     volume, levels = smooth(), random_levels(BlockGrid(SHAPE), 5)
-    lit = [scene(volume, **{**ALL, "light": [light]}) for light in LIGHTS[:2]]
+    lit = [scene(volume, **{**ALL, "light": [light]}) for light in lights]
     pictures = [rendered(context, each, levels).rgba for each in lit]
     assert np.abs(pictures[0] - pictures[1]).max() > 0.05
     for each, picture in zip(lit, pictures):

@@ -71,6 +71,8 @@ TWINS = {
     "orthographic": {"camera": FLAT},
     "towards the eye": {"light": TOWARDS_EYE},
     "point": {"light": POINT},
+    "spot": {"light": {"type": "spot", "position": POINT["position"], "direction": [-0.3, -1.0, 0.5],
+                       "cone_degrees": 20.0, "penumbra": 0.8}},
     "at the front": {"slicing": {"light_at": "front"}},
     "seven": {"slicing": {"slices": 7}},
     "two lights": {"light": [{**TOWARDS_EYE, "casts_shadow": False}, SLANTED]},
