@@ -94,12 +94,18 @@ INLINE void composite_steps(Gathered *acc, floatN value, intN steps, int one_ste
 /* Emission and absorption over one step at a point. */
 typedef struct {
   floatN r, g, b, d; /* colour times optical depth, and optical depth */
+#if LIT_AT_ENDS
+  floatN place; /* where along the segment what is seen of it lies on average, 0 .. 1 */
+#endif
 } Emission;
 
 INLINE Emission no_emission(void)
 {
   Emission e;
   e.r = e.g = e.b = e.d = 0.0f;
+#if LIT_AT_ENDS
+  e.place = 0.5f;
+#endif
   return e;
 }
 
@@ -127,6 +133,23 @@ INLINE void filter_taps(FetchedSample s, __constant const View *view, floatN *va
   value[4] = c.v001, value[5] = c.v101, value[6] = c.v011, value[7] = c.v111;
   for (int v = 0; v < 8; ++v)
     weight[v] = (v & 1 ? s.fx : 1.0f - s.fx) * (v & 2 ? s.fy : 1.0f - s.fy) * (v & 4 ? s.fz : 1.0f - s.fz);
+}
+
+#elif KERNEL_FILTER
+#define TAPS (KERNEL_TAPS * KERNEL_TAPS * KERNEL_TAPS)
+
+INLINE void filter_taps(FetchedSample s, __constant const View *view, floatN *value, floatN *weight)
+{
+  _Pragma("unroll 1") for (int block = 0; block < TAPS / 8; ++block) {
+    const int z = block / (KERNEL_BLOCKS * KERNEL_BLOCKS), y = block / KERNEL_BLOCKS % KERNEL_BLOCKS;
+    const int x = block % KERNEL_BLOCKS;
+    const Corners c = decode_corners(fetch_corners(s.volume, view, s.x.at[x], s.y.at[y], s.z.at[z]), view);
+    const floatN corner[8] = {c.v000, c.v100, c.v010, c.v110, c.v001, c.v101, c.v011, c.v111};
+    _Pragma("unroll 1") for (int v = 0; v < 8; ++v) {
+      value[8 * block + v] = corner[v];
+      weight[8 * block + v] = s.x.w[2 * x + (v & 1)] * s.y.w[2 * y + (v >> 1 & 1)] * s.z.w[2 * z + (v >> 2)];
+    }
+  }
 }
 
 #else
@@ -163,7 +186,7 @@ INLINE Emission classified_emission_in(FetchedSample s, __constant const View *v
     const Emission voxel = emission_of_value(value[v], units, f);
     e.r += weight[v] * voxel.r, e.g += weight[v] * voxel.g, e.b += weight[v] * voxel.b, e.d += weight[v] * voxel.d;
   }
-#if FILTER == FILTER_CATMULL_ROM
+#if FILTER == FILTER_CATMULL_ROM || KERNEL_FILTER
   /* Negative weights may leave less than no light and no medium. */
   const floatN zero = 0.0f;
   e.r = lane_max(e.r, zero), e.g = lane_max(e.g, zero), e.b = lane_max(e.b, zero), e.d = lane_max(e.d, zero);

@@ -12,14 +12,17 @@
 #if LIGHTING
 #include "shade.h"
 #endif
+#if AMBIENT_OCCLUSION
+#include "ambient_occlusion.h"
+#endif
 #if DEPTH_CUE
 #include "depth_cue.h"
 #endif
 
 #define TOGETHER 4 /* even */
 
-/* Whether light is simple enough for that: any number of lights, no shadows, no environment. */
-#define STAGED_LIGHT (LIGHTING && LIGHTS && !SHADOWS && !ENVIRONMENT)
+/* Whether light is simple enough for that: any number of lights, no shadows, no environment, no occlusion. */
+#define STAGED_LIGHT (LIGHTING && LIGHTS && !SHADOWS && !ENVIRONMENT && !AMBIENT_OCCLUSION)
 
 /* Between which places along rays, in their steps, gradients need no voxel beyond the volume's faces. What is near the
  * faces is left out: rounding of places does not matter. */
@@ -256,7 +259,7 @@ INLINE void color_entries(const Scene *scene, HeldSegments *held, const Rays *ra
       const floatN opacity = LOAD_LANES(held->opacity + at);
 #if STAGED_LIGHT
       count_lanes(&counted[COUNT_LIT_SAMPLES], entries[j].lit);
-      color = in_light(scene, color, opacity, gradients[j], entries[j].light, entries[j].lit);
+      color = in_light(scene, color, color, opacity, gradients[j], entries[j].light, entries[j].lit);
 #elif LIGHTING
       const Entries places = entries_at(held, at, ray);
       const Vectors normal = shown_normal(scene, gradients[j], permuted3(cut_normal, places.lane),
@@ -268,6 +271,8 @@ INLINE void color_entries(const Scene *scene, HeldSegments *held, const Rays *ra
 #endif
       color = shaded_color(scene, color, opacity, places_of(places, ray), normal, gradients[j],
                            scaled3(permuted3(forward, places.lane), -1.0f), weight, 0, lit, counted);
+#elif AMBIENT_OCCLUSION
+      color = occluded_color(scene, color, places_of(entries_at(held, at, ray), ray));
 #endif
 #if DEPTH_CUE
       const Entries cued = entries_at(held, at, ray);

@@ -25,6 +25,7 @@ EFFECT_ARGUMENTS: Arguments = (
     reads("noise", np.uint32),
     reads("factors", np.float32),
     reads("fields", np.float32),
+    reads("occlusion", np.float32),
 )
 """The arguments that EFFECTS adds; a few bytes stand in for arrays that a scene does not need."""
 

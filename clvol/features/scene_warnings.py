@@ -15,7 +15,7 @@ from clvol.features.findings import Findings
 from clvol.features.geometry import box_apart, nearest_distance
 from clvol.features.values import reachable
 from clvol.scene.camera import Camera
-from clvol.scene.clip import Clip
+from clvol.scene.clip import Clip, MeshClip
 from clvol.scene.resolve import ResolvedScene, default_opacity_unit
 from clvol.scene.triples import difference, dot
 from clvol.transfer import PRESETS, TransferFunction
@@ -285,6 +285,9 @@ def _clip(clip: Clip, number: int, grid: Grid) -> ClvolWarning | None:
         if clip.keep != "outside":
             removes = box_apart(grid, lower, upper)
         advice = "set its lower and upper to a box that meets the volume, or keep to the other side"
+    elif isinstance(clip, MeshClip):
+        removes = clip.keep == "inside" and box_apart(grid, *clip.mesh.bounds)
+        advice = "move it into the volume, in the world coordinates of both, or keep to the other side"
     else:
         centre = np.asarray(clip.center)
         largest = max(np.abs(corners - centre).max(), clip.radius)

@@ -11,7 +11,7 @@ from clvol.errors import ClvolWarning
 from clvol.features import emits
 from clvol.features.scene_warnings import BLANK, largest_depth
 from clvol.scene.camera import Camera
-from clvol.scene.clip import Clip
+from clvol.scene.clip import Clip, MeshClip
 from clvol.scene.resolve import ResolvedScene, default_opacity_unit
 from clvol.volume import Grid
 
@@ -164,6 +164,11 @@ def _anything_kept(grid: Grid, clips: tuple[Clip, ...]) -> bool:
     points = points @ to_world[:3, :3].T + to_world[:3, 3]
     kept = np.ones(len(points), bool)
     for clip in clips:
+        if isinstance(clip, MeshClip):
+            low, high = clip.mesh.bounds
+            if clip.keep == "inside":
+                kept &= ((points >= low) & (points <= high)).all(axis=1)
+            continue
         if clip.type == "plane":
             kept &= (points - np.asarray(clip.point)) @ np.asarray(clip.normal) >= 0
             continue

@@ -9,6 +9,7 @@ import numpy as np
 
 from clvol.device.view import RayFrame
 from clvol.errors import RenderError
+from clvol.features.kernels import filter_terms
 from clvol.transfer.step_opacity import step_opacity
 
 if TYPE_CHECKING:
@@ -105,6 +106,9 @@ def _describe_volume(caster: Raycaster, row: np.void) -> None:
     row["step_units"] = caster.step_units
     terms, row["opacity_limit"] = step_opacity(float(row["step_units"]))
     row["opacity_terms"], row["opacity_more"] = terms[:4], terms[4:]
+    weights = filter_terms(caster.resolved.integration)
+    if weights is not None:
+        row["filter_terms"] = weights.reshape(-1, 4)
     row["cell_parts"] = parts_of_cell(step)
     row["stop_opacity"] = 1.0 - caster.resolved.integration.early_termination
     row["ray_tolerance"] = caster.resolved.image.ray_tolerance
