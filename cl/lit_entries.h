@@ -11,6 +11,7 @@
 #include "scene_value.h"
 #if LIGHTING
 #include "shade.h"
+#include "shown_normal.h"
 #endif
 #if AMBIENT_OCCLUSION
 #include "ambient_occlusion.h"
@@ -51,24 +52,6 @@ INLINE InnerSpan inner_span(__constant const View *view, const Rays *ray)
 }
 
 #if LIGHTING
-/* The normal of what the gradient belongs to; at a cut face the face's own, going over to the gradient's within one
- * edge. `inside`: edges from the start of the stretch. */
-INLINE Vectors shown_normal(const Scene *scene, Vectors gradient, Vectors cut_normal, floatN inside)
-{
-  Vectors normal = directed3(gradient, -1.0f);
-#if CLIP
-  inside = lane_clamp(inside, (floatN)0.0f, (floatN)1.0f);
-  const intN cut = MASK(dot3(cut_normal, cut_normal) > 0.5f) & MASK(inside < 1.0f);
-  if (any_lane(cut)) {
-    const intN two_sided = scene->effects->two_sided ? (intN)-1 : (intN)0;
-    const intN behind = two_sided & MASK(dot3(normal, cut_normal) < 0.0f);
-    const Vectors toward = select3(normal, scaled3(normal, -1.0f), behind);
-    normal = select3(normal, unit3(sum3(scaled3(toward, inside), scaled3(cut_normal, 1.0f - inside))), cut);
-  }
-#endif
-  return normal;
-}
-
 /* The gradients of `count` vectors of entries from the k-th on. */
 INLINE void entry_gradients(const Scene *scene, const HeldSegments *held, int k, int count, const Rays *ray,
                             InnerSpan inner, Vectors *gradients)

@@ -303,14 +303,16 @@ class EffectState:
         self.arrays["constant_distances"] = distances
 
     def counted(self, sums: dict[str, int]) -> dict[str, int]:
-        """Those of ``sums`` (by the names of COUNTERS) that the scene's effects count."""
+        """``sums`` by name, of COUNTERS only those that the scene's effects count."""
         by_volume = self.switches.get("SHADOWS") in (METHODS["volume"], METHODS["half-angle"])
         bend = any(self.switches.get(switch) for switch in _BEND)
-        return {
-            name: total
-            for name, total in sums.items()
-            if (bend if name == "bends" else self.switches.get(COUNTERS[name])) and not (by_volume and name in _BY_RAYS)
-        }
+
+        def counts(name: str) -> bool:
+            if by_volume and name in _BY_RAYS:
+                return False
+            return bend if name == "bends" else bool(self.switches.get(COUNTERS[name]))
+
+        return {name: total for name, total in sums.items() if name not in COUNTERS or counts(name)}
 
 
 def _clip_rows(clip: Clip, space: LocalSpace) -> list[Row]:

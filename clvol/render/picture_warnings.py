@@ -32,14 +32,14 @@ def picture_warning(
     if resolved.glow is not None and rgba[..., :3].max(initial=0.0) >= BLANK:
         return None
     spacing = [max(1, n // _PIXELS) for n in alpha.shape]
-    some = alpha[:: spacing[0], :: spacing[1]]
+    some = alpha[:: spacing[0], :: spacing[1]].copy()  # read once: every pixel of them is in a cache line of its own
     if some.max(initial=0.0) < BLANK:
         environment = resolved.environment
         seen = environment is not None and environment.visible and environment.intensity > 0
         largest = float(alpha.max(initial=0.0))
         return None if seen or largest >= BLANK else _blank(resolved, camera, alpha.shape, largest)
-    shown = some >= BLANK
-    if shown.mean() < 0.01 or (some[shown] < _OPAQUE).mean() > 0.05:
+    shown = np.count_nonzero(some >= BLANK)
+    if shown < 0.01 * some.size or shown - np.count_nonzero(some >= _OPAQUE) > 0.05 * shown:
         return None
     return _box(resolved, camera, alpha, depth)
 

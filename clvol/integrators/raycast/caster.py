@@ -29,7 +29,7 @@ from clvol.integrators.base import FrameData, Progress, Shared
 from clvol.integrators.raycast.cell_depths import cell_depths
 from clvol.integrators.raycast.coherent_parts import parts_from_history
 from clvol.integrators.raycast.constant_cells import changing_cells
-from clvol.integrators.raycast.frame_view import frame_view, volume_view
+from clvol.integrators.raycast.frame_view import VolumePart, frame_view, volume_view
 from clvol.integrators.raycast.history import COHERENT_ARGUMENTS, History, render_from_history
 from clvol.integrators.raycast.listed import listed_by_tiles
 from clvol.integrators.raycast.march import March, RayMarch
@@ -89,6 +89,7 @@ class Raycaster:
     octant_cells = 0  # as many, where a map per octant follows (cl/skip_empty.h); the maps of effects are alike
     visible_nodes: tuple[np.ndarray, np.ndarray]  # ``between`` and ``at`` of ``visible_mask``
     shown: np.ndarray  # bool [z, y, x]: cells in which anything can be seen
+    volume_part: VolumePart | None = None
 
     def __init__(
         self,
@@ -144,8 +145,7 @@ class Raycaster:
             mask |= self._surface_cells()
         if resolved.integration.compositing != "over":  # a mean may be a value that occurs in no cell
             mask = np.full_like(mask, visible.any() or at_nodes.any())
-            mode = resolved.integration.compositing
-            self.effects.set_hidden(hidden_score(mode, self.gate))
+            self.effects.set_hidden(hidden_score(resolved.integration.compositing, self.gate))
         fields = self.effects.switches and self.effects.fields
         if fields:
             mask = (mask | fields.shown) & fields.kept
