@@ -172,7 +172,7 @@ class EffectState:
         numbers["noise_reach"][:3] = 0.5 * grid.smallest_edge / np.asarray(grid.spacing)
 
     def _add_projection(self, resolved: ResolvedScene, volume: ResidentVolume) -> None:
-        moved = perturbation(resolved.noise, resolved.volume.grid, self._value_gain)
+        moved = perturbation(resolved.noise, resolved.volume.grid, self._value_gain, volume.cell_shift)
         numbers = self.numbers[0]
         numbers["lowest_sample"], numbers["highest_sample"] = sample_bounds(volume, resolved, moved)
         numbers["lowest_value"], numbers["values_per_range"] = normalisation(volume, resolved)

@@ -14,7 +14,7 @@ from clvol.device.arguments import (
     view_argument,
 )
 from clvol.device.effect_state import COUNTERS
-from clvol.device.empty_space import dilated, distance_map
+from clvol.device.empty_space import dilated, distance_map, surface_mask, visible_mask
 from clvol.device.projection import hidden_score
 from clvol.device.transfer_lookup import device_function, scene_nodes, segment_classification
 from clvol.device.view import ray_frame
@@ -127,10 +127,17 @@ class BlockCaster(Raycaster):
         if stepping != self.stepping:
             self.stepping = stepping
             self._set_switches()
-        if self.resolved.integration.compositing == "over":
-            found = self._cells_that_show(*self._visible)
+        assert isinstance(self.volume, BlockedVolume)
+        if not self._bounds_are_new:
+            self.volume.forget()
+        if self.resolved.integration.compositing != "over":
+            found = self._projected_cells(self.volume)
+        elif self.resolved.noise:
+            shows = visible_mask(self.volume, "linear", self.nodes, *self._visible, self._moved)
+            found = np.where(shows, CELLS["visible"], CELLS["empty"]).astype(np.uint8)
         else:
-            found = self._projected_cells()
+            found = self._cells_that_show(*self._visible)
+        self._bounds_are_new = False
         self._set_steps()
         self.shown_cells, self.hole_cells = found != CELLS["empty"], found == CELLS["beside-holes"]
         self.shown = self.shown_cells
@@ -145,21 +152,23 @@ class BlockCaster(Raycaster):
             self._build_shadows()
         self.march.scene_changed(self)
 
-    def _projected_cells(self) -> np.ndarray:
+    def _projected_cells(self, volume: BlockedVolume) -> np.ndarray:
         """As ``_cells_that_show``, of a projection: all, since a mean may be a value that occurs in no cell, if the
         function shows anything. The effects get the bounds of what is resident."""
-        assert isinstance(self.volume, BlockedVolume)
         if not self._bounds_are_new:
-            self.volume.forget()
-            self.effects.update_projection(self.resolved, self.volume)
-        self._bounds_are_new = False
+            self.effects.update_projection(self.resolved, volume)
         self.effects.set_hidden(hidden_score(self.resolved.integration.compositing, self.gate))
         shows = any(map(np.any, self._visible))
-        return np.full(self.volume.cells[::-1], CELLS["visible" if shows else "empty"], np.uint8)
+        return np.full(volume.cells[::-1], CELLS["visible" if shows else "empty"], np.uint8)
 
     def _surface_cells(self) -> np.ndarray:
         """As in ``Raycaster``, of the resident blocks. Cells of voxels lie across the cells of blocks: those beside
         count, too."""
+        if self.resolved.noise:
+            levels = [float(self.volume.values(surface.value)) for surface in self.resolved.isosurfaces]
+            self.surface_cells = dilated(surface_mask(self.volume, "linear", levels, self._moved))
+            self.effects.set_surfaces(distance_map(self.context, self.surface_cells))
+            return self.surface_cells
         nodes = self.nodes.values
         between, at = np.zeros(nodes.size - 1, bool), np.zeros(nodes.size, bool)
         for surface in self.resolved.isosurfaces:

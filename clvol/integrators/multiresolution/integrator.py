@@ -37,7 +37,7 @@ _KEYS = {
 _EFFECTS = PLAIN | {
     "clipping", "lighting", "specular", "spot lights", "image lights", "environment", "environment background",
     "gradients", "depth cueing", "isosurfaces", "projection", "shadows", "scattering",
-    "label field", "density field", "mask field", "color field",
+    "label field", "density field", "mask field", "color field", "noise",
 }  # fmt: skip
 _BUDGETS = 2  # volumes and budgets whose blocks stay resident: they hold all the memory
 

@@ -32,7 +32,7 @@ def ramp(shape=(12, 10, 14), **grid) -> Volume:
     return Volume((np.indices(shape)[2] * (255.0 / (shape[2] - 1))).astype(np.float32), **placed)
 
 
-MASK = {"role": "mask", "threshold": 140.0}
+MASK = {"role": "mask", "threshold": 120.0}
 LABELS = {
     "role": "label",
     "labels": [{"label": 2, "color": [1.0, 0.1, 0.1], "opacity": 0.6}, {"label": 5, "color": [0.1, 0.4, 1.0]}],
@@ -100,7 +100,7 @@ def test_blocks_outside_a_mask_are_dropped_and_no_other(context, keep):
     tables = {"field": [{"file": ramp(), **MASK, "keep": keep}], **ON_DEVICE}
     resolved = scene(smooth(), **tables)
     held = MultiresolutionEngine(context, resolved).residency.blocks.levels.reshape(BlockGrid(SHAPE).counts) != DROPPED
-    # The border is at x = 140 / 255 * 51 - 1, which is 27, in the second of four blocks.
+    # The border is at x = 120 / 255 * 51 - 1, which is 23, in the second of four blocks.
     wanted = [False, True, True, True] if keep == "above" else [True, True, False, False]
     assert held.any(axis=(0, 1)).tolist() == wanted
 
