@@ -97,7 +97,7 @@ def test_masks_cut_projections(context):
 
 @pytest.mark.parametrize("keep", ["above", "below"])
 def test_blocks_outside_a_mask_are_dropped_and_no_other(context, keep):
-    tables = {"field": [{"file": ramp(), **MASK, "keep": keep}], **ON_DEVICE}
+    tables = {"field": [{"file": ramp((6, 5, 52)), **MASK, "keep": keep}], **ON_DEVICE}
     resolved = scene(smooth(), **tables)
     held = MultiresolutionEngine(context, resolved).residency.blocks.levels.reshape(BlockGrid(SHAPE).counts) != DROPPED
     # The border is at x = 120 / 255 * 51 - 1, which is 23, in the second of four blocks.
