@@ -84,6 +84,8 @@ TILES = (
          "translucent volume.", "isosurfaces", "[[isosurface]]"),
     Tile("teapot-glass", "Refraction", "Glass before a visible studio: rays bend where they cross "
          "the surface.", "refraction", "[[isosurface]] refraction"),
+    Tile("teapot-mirage", "Continuous refraction", "An index of refraction that grows with the value: rays bend all "
+         "along their way.", "continuous refraction", "[refraction]"),
     Tile("teapot-studio", "Environment light", "Irradiance and reflections of a studio's soft "
          "boxes, no other light.", "environment", "[environment]"),
     Tile("chest-shadows", "Shadows", "Rays to the light: ribs shade what lies below them.",

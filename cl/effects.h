@@ -64,6 +64,8 @@ typedef struct {
   int gradient_opacity_table, directional_opacity_table, layer_table; /* where these begin in `factors` */
   int field_count, added_terms, moving_terms;
   int glow_points, glow_table; /* of associated colours (glow.h); where they begin in `factors` */
+  int index_points, index_table; /* of an index of refraction (curved_rays.h), likewise */
+  float longest_path;            /* edges after which rays turn no more */
 } Effects;
 
 /* Reported to the host (struct_fields.h). */
@@ -89,7 +91,8 @@ typedef struct {
   FIELD(Effects, sky_map), FIELD(Effects, gradient_opacity_points), FIELD(Effects, directional_opacity_points), \
   FIELD(Effects, layer_count), FIELD(Effects, layer_rows), FIELD(Effects, gradient_opacity_table), FIELD(Effects, directional_opacity_table), \
   FIELD(Effects, layer_table), FIELD(Effects, field_count), FIELD(Effects, added_terms), \
-  FIELD(Effects, moving_terms), FIELD(Effects, glow_points), FIELD(Effects, glow_table)
+  FIELD(Effects, moving_terms), FIELD(Effects, glow_points), FIELD(Effects, glow_table), \
+  FIELD(Effects, index_points), FIELD(Effects, index_table), FIELD(Effects, longest_path)
 
 /* What is counted beside samples: one number each a tile. clvol/features/vocabulary.py names them in this order. */
 #define COUNT_GRADIENTS 0        /* gradients reconstructed */

@@ -60,6 +60,9 @@
 #if ISOSURFACES
 #include "surfaces.h"
 #endif
+#if CURVED_RAYS
+#include "curved_rays.h"
+#endif
 #if ENVIRONMENT_VISIBLE
 #include "background.h"
 #endif
@@ -69,8 +72,15 @@
 #define NEEDS_MIDDLE ((CLASSIFICATION != CLASSIFICATION_PREINTEGRATED) & (TRANSLUCENT != 0))
 
 /* One sample per segment, at its middle or its end: it can be fetched ahead. */
-#define SAMPLES_AHEAD (FETCH_AHEAD && CLASSIFICATION != CLASSIFICATION_PRE && TRANSLUCENT && !NOISE && !BLOCKS)
+#define SAMPLES_AHEAD (FETCH_AHEAD && CLASSIFICATION != CLASSIFICATION_PRE && TRANSLUCENT && !NOISE && !BLOCKS && !CURVED_RAYS)
 #define AHEAD (CLASSIFICATION == CLASSIFICATION_POST ? 0.5f : 1.0f)
+
+/* Between looks at the map of empty space, and at where rays that turn go on. */
+#if CURVED_RAYS
+#define STRAIGHT_STEPS 1
+#else
+#define STRAIGHT_STEPS MARCH_STEPS
+#endif
 
 /* Where only surfaces show, a kept stretch is one segment. */
 #define ONE_SEGMENT (ISOSURFACES && !TRANSLUCENT)
@@ -129,6 +139,20 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
 #if REFRACTION
   intN bends_left = MOST_BENDS;
 #endif
+#if CURVED_RAYS
+  intN turned = 0; /* rays that have turned */
+  const floatN path_end = whole_ray.entry_depth + effects->longest_path;
+#if !CLIP
+  {
+    const Vectors entry = {whole_ray.x0, whole_ray.y0, whole_ray.z0};
+    turned = turn_rays(scene, entry, scene_value(scene, entry.x, entry.y, entry.z), 0.5f * h, alive, &forward, counted);
+    taken -= AS_UINT(alive);
+    const Rays bent = rays_from(scene, &whole_ray, entry, whole_ray.entry_depth, forward, 0.0f);
+    whole_ray = select_rays(whole_ray, bent, turned);
+    ray = whole_ray;
+  }
+#endif
+#endif
   intN i = 0, last = DONE, joined = 0; /* joined: the values at the segment's start, and one step before, are known */
   floatN value1 = 0.0f, value2 = 0.0f; /* at the start of the segment, and one before */
 
@@ -156,6 +180,9 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
       span_along(view, span, &ray, TO_FLOAT(px), TO_FLOAT(py), h, &start_from, &start_to);
 #if REFRACTION
       start_from = select((floatN)0.0f, start_from, MASK(bends_left == MOST_BENDS));
+#endif
+#if CURVED_RAYS
+      start_from = select(start_from, (floatN)0.0f, turned);
 #endif
       start_from = lane_clamp(start_from - (ONE_SEGMENT ? 0.0f : 1.0f), (floatN)0.0f,
                               lane_max(ray.length, (floatN)0.0f));
@@ -196,7 +223,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
     find_surfaces(scene, &walk, alive & MASK(i <= last), h * TO_FLOAT(i + MARCH_STEPS), &taken,
                   &counted[COUNT_SURFACE_TESTS]);
 #endif
-    _Pragma("unroll 1") for (int step = 0; step < (ONE_SEGMENT ? 1 : MARCH_STEPS); ++step) {
+    _Pragma("unroll 1") for (int step = 0; step < (ONE_SEGMENT ? 1 : STRAIGHT_STEPS); ++step) {
       const intN active = alive & MASK(i <= last);
       const floatN t0 = TO_FLOAT(i), t1 = ONE_SEGMENT ? ray.length : lane_min(t0 + 1.0f, ray.length);
       const floatN length = select((floatN)1.0f, t1 - t0, active), tm = t0 + 0.5f * length;
@@ -428,6 +455,23 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
         alive &= MASK(acc.a < view->stop_opacity);
       }
 #endif
+#if CURVED_RAYS
+      /* Whole steps end where rays turn; what stays straight goes on as if there were no index. */
+      const intN goes_on = alive & MASK(i < last) & MASK(ray.entry_depth + t1 * h < path_end);
+      if (any_lane(goes_on)) {
+        const Vectors place = {ray.x0 + t1 * ray.dx, ray.y0 + t1 * ray.dy, ray.z0 + t1 * ray.dz};
+        floatN here = back;
+        if (!NEEDS_ENDS) here = scene_value(scene, place.x, place.y, place.z), taken -= AS_UINT(goes_on);
+        const intN turns = turn_rays(scene, place, here, h, goes_on, &forward, counted);
+        if (any_lane(turns)) {
+          const Rays bent = rays_from(scene, &whole_ray, place, ray.entry_depth + t1 * h, forward, 0.0f);
+          whole_ray = select_rays(whole_ray, bent, turns);
+          next_from = select(next_from, (floatN)0.0f, turns);
+          last = select(last, (intN)DONE, turns), i = select(i, (intN)0, turns);
+          turned |= turns;
+        }
+      }
+#endif
       if (ends) {
         value2 = select(value2, front, active), value1 = select(value1, back, active);
         joined |= active;
@@ -440,7 +484,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
   show_environment(scene, forward, on_picture, &acc);
 #endif
   gathered_store(&acc, rgba);
-#if WITH_DEPTH && CLASSIFICATION == CLASSIFICATION_POST && TRANSLUCENT && !REFRACTION && !TRANSFER_LAYERS
+#if WITH_DEPTH && CLASSIFICATION == CLASSIFICATION_POST && TRANSLUCENT && !REFRACTION && !TRANSFER_LAYERS && !CURVED_RAYS
   const intN noted = MASK(half_.from < INFINITY) & MASK(half_.length > 0.0f);
   if (any_lane(noted)) {
     floatN ends[2];

@@ -9,6 +9,7 @@
 #ifndef SURFACES_H
 #define SURFACES_H
 
+#include "bent_rays.h"
 #include "composite.h"
 #include "emission.h"
 #include "half_opacity.h"
@@ -36,24 +37,8 @@
 #define BEYOND_SURFACE 2e-3f
 INLINE Rays bent_rays(const Scene *scene, const Rays *ray, floatN at, Vectors direction)
 {
-  __constant const Effects *e = scene->effects;
-  Rays r = *ray;
-  const floatN dx = e->gradient_x.x * direction.x + e->gradient_y.x * direction.y + e->gradient_z.x * direction.z;
-  const floatN dy = e->gradient_x.y * direction.x + e->gradient_y.y * direction.y + e->gradient_z.y * direction.z;
-  const floatN dz = e->gradient_x.z * direction.x + e->gradient_y.z * direction.y + e->gradient_z.z * direction.z;
-  const floatN x = ray->x0 + at * ray->dx, y = ray->y0 + at * ray->dy, z = ray->z0 + at * ray->dz;
-  floatN enter = BEYOND_SURFACE, leave = INFINITY;
-  clip_to_slab(x, dx, scene->view->upper.x, &enter, &leave);
-  clip_to_slab(y, dy, scene->view->upper.y, &enter, &leave);
-  clip_to_slab(z, dz, scene->view->upper.z, &enter, &leave);
-  const intN inside = MASK(leave > enter);
-  enter = select((floatN)0.0f, enter, inside), leave = select((floatN)-1.0f, leave, inside);
-  r.x0 = x + enter * dx, r.y0 = y + enter * dy, r.z0 = z + enter * dz;
-  r.dx = dx, r.dy = dy, r.dz = dz;
-  r.rx = finite_inverse(r.dx, &r.px), r.ry = finite_inverse(r.dy, &r.py), r.rz = finite_inverse(r.dz, &r.pz);
-  r.length = leave - enter;
-  r.entry_depth = ray->entry_depth + at + enter;
-  return r;
+  const Vectors place = {ray->x0 + at * ray->dx, ray->y0 + at * ray->dy, ray->z0 + at * ray->dz};
+  return rays_from(scene, ray, place, ray->entry_depth + at, direction, BEYOND_SURFACE);
 }
 #endif
 

@@ -42,7 +42,8 @@ _TABLES = (
     "Animation", "ChannelSettings", "Clip", "Coherence", "Compression", "ControlPoint", "DepthCue",
     "DirectionalOpacity", "DirectionalOpacityPoint", "Display", "Environment", "FieldLabel", "FieldSettings",
     "GradientOpacity", "GradientOpacityPoint", "GradientSettings", "ImageSettings", "Integration", "Isosurface",
-    "Light", "Material", "Multiresolution", "Noise", "Overlay", "Pyramid", "Shadow", "Slicing",
+    "Light", "Material", "Multiresolution", "Noise", "Overlay", "Pyramid", "Refraction",
+    "RefractionPoint", "Shadow", "Slicing",
     "TransferFunctionSettings", "TransferLayerSettings", "VolumeSettings",
 )  # fmt: skip
 _LAZY |= dict.fromkeys(_TABLES, "clvol.scene")

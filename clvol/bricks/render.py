@@ -31,6 +31,7 @@ _NOT_IN_PARTS = {
     "SHADOWS": ("shadow", "and light comes to a brick through all others"),
     "ENVIRONMENT_VISIBLE": ("environment.visible", "behind which all others lie"),
     "REFRACTION": ("isosurface.refraction", "behind which rays go on through other bricks"),
+    "CURVED_RAYS": ("refraction", "and rays bend from one brick to another"),
     "NOISE": ("noise", "and it moves places from one brick to another"),
 }
 

@@ -50,8 +50,10 @@ from clvol.volume.voxel_layout import padded_size
 # The switch under which each counter counts anything, in the order of EFFECT_COUNTERS.
 _BY_RAYS = ("shadow_rays", "shadow_samples")  # counted only where the method of shadows is "rays"
 _COUNTED_BY = ("GRADIENT", "LIGHTING", "ISOSURFACES", "ISOSURFACES", "SHADOWS", "SHADOWS", "FIELDS", "REFRACTION")
+_BEND = ("REFRACTION", "CURVED_RAYS")
 COUNTERS = dict(zip(EFFECT_COUNTERS, _COUNTED_BY, strict=True))
 OPAQUE_DEPTH = 1e15  # optical depth of an opaque surface; finite, so that any share of it is opaque, too
+LONGEST_PATH = 8.0  # of rays that turn, in diagonals of the volume's bounding box
 _FAR = 1e12  # smallest edges: light from farther away has one direction in float32
 Row = tuple[float, ...]  # a float4 of the buffer `items`
 
@@ -142,6 +144,13 @@ class EffectState:
         if resolved.glow is not None:
             rows = glow_rows(resolved.glow, volume.values, reachable(resolved), self.space.unit)
             numbers["glow_points"], numbers["glow_table"] = rows.shape[1], place(rows)
+        if resolved.refraction is not None:
+            index = resolved.refraction
+            rows = np.stack([volume.values(index.values), index.indices]).astype(np.float32)
+            numbers["index_points"], numbers["index_table"] = rows.shape[1], place(rows)
+            corners = resolved.volume.grid.world_corners()
+            diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
+            numbers["longest_path"] = LONGEST_PATH * diagonal / self.space.unit
         if resolved.fields:
             self.fields = SceneFields(self.context, resolved, volume.cells, place, numbers, volume.cell_layout)
             self.arrays["fields"] = self.fields.voxels
@@ -284,10 +293,11 @@ class EffectState:
     def counted(self, sums: dict[str, int]) -> dict[str, int]:
         """Those of ``sums`` (by the names of COUNTERS) that the scene's effects count."""
         by_volume = self.switches.get("SHADOWS") in (METHODS["volume"], METHODS["half-angle"])
+        bend = any(self.switches.get(switch) for switch in _BEND)
         return {
             name: total
             for name, total in sums.items()
-            if self.switches.get(COUNTERS[name]) and not (by_volume and name in _BY_RAYS)
+            if (bend if name == "bends" else self.switches.get(COUNTERS[name])) and not (by_volume and name in _BY_RAYS)
         }
 
 

@@ -32,6 +32,7 @@ def effect_switches(
     surfaces = resolved.isosurfaces
     refracts = any(surface.refraction != 1.0 for surface in surfaces)
     factors = resolved.gradient_opacity is not None or resolved.directional_opacity is not None
+    curves = resolved.refraction is not None
     decides = factors or has_gradient_layers(resolved)
     switches = {
         "LIGHTING": int(lit),
@@ -49,13 +50,14 @@ def effect_switches(
         "NOISE": _noise(resolved),
         **shadow_switches(resolved),
         **({"GLOW": 1} if resolved.glow is not None else {}),
-        "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides else 0,
+        **({"CURVED_RAYS": 1} if curves else {}),
+        "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides or curves else 0,
     }
     if not any(switches.values()):
         return {}
     # Opacities of whole segments are enough where no effect cuts segments or changes their extinction.
     changed = decides or surfaces or resolved.fields or resolved.integration.classification == "pre"
-    changed = changed or resolved.glow is not None
+    changed = changed or resolved.glow is not None or curves
     return {
         "EFFECTS": 1,
         "TRANSLUCENT": int(is_translucent(resolved)),

@@ -44,12 +44,15 @@ def layer_functions(
 
 
 def shown_function(resolved: ResolvedScene, function: TransferFunction | None = None) -> TransferFunction:
-    """A function that has opacity exactly where any of the scene's functions has some, or emits light."""
+    """A function that has opacity exactly where any of the scene's functions has some, or emits light,
+    or bends rays."""
     functions = layer_functions(resolved, function)
     shapes = [] if resolved.glow is None else [resolved.glow.shape]
     if has_integral_table(resolved.integration):
         entries = resolved.integration.table_size
         shapes += [tabulated_shape(each, *reachable(resolved), entries) for each in functions]
+    if resolved.refraction is not None and (changes := resolved.refraction.shape) is not None:
+        shapes.append(changes)
     return opacity_envelope([*functions, *shapes])
 
 

@@ -22,6 +22,7 @@ from clvol.features import (
     lighting,
     noise,
     opacity,
+    refraction,
     segments,
     shadows,
     surfaces,
@@ -51,6 +52,7 @@ NAMES = (
     "half-angle slices",
     "isosurfaces",
     "refraction",
+    "continuous refraction",
     "gradients",
     "sobel gradients",
     "precomputed gradients",
@@ -70,8 +72,8 @@ NAMES = (
 )
 # Each pass analyses the scene as reduced by the passes before it.
 _PASSES = (
-    filters, glow, emission, segments, fields, noise, clipping, surfaces, opacity, lighting, shadows, half_angle,
-    depth_cue, gradients,
+    filters, glow, emission, segments, fields, noise, clipping, surfaces, refraction, opacity, lighting, shadows,
+    half_angle, depth_cue, gradients,
 )  # fmt: skip
 
 

@@ -16,6 +16,7 @@ def uses_of_gradients(scene: ResolvedScene, lit: bool) -> list[str]:
     uses = {
         "lighting": lit,
         "refraction": any(surface.refraction != 1 for surface in scene.isosurfaces),
+        "continuous refraction": scene.refraction is not None,
         "gradient opacity": scene.gradient_opacity is not None,
         "directional opacity": scene.directional_opacity is not None,
         "the two-dimensional transfer function": has_gradient_layers(scene),

@@ -30,6 +30,7 @@ from clvol.scene.opacity_factor import (
 )
 from clvol.scene.overlay import Overlay
 from clvol.scene.pyramid import Pyramid
+from clvol.scene.refraction import Refraction, RefractionPoint, RefractiveIndex
 from clvol.scene.resolve import ResolvedScene
 from clvol.scene.scene import Scene
 from clvol.scene.shadow import Shadow
@@ -67,6 +68,9 @@ __all__ = [
     "Overlay",
     "Pyramid",
     "Slicing",
+    "Refraction",
+    "RefractionPoint",
+    "RefractiveIndex",
     "ResolvedChannel",
     "ResolvedField",
     "ResolvedScene",

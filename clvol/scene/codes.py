@@ -86,10 +86,11 @@ def in_codes(resolved: ResolvedScene, code: Code, per_value: float) -> dict[str,
         )
         for layer in resolved.transfer_layers
     )
-    glow = resolved.glow
+    glow, index = resolved.glow, resolved.refraction
     return {
         "transfer_function": function_in_codes(resolved.transfer_function, code),
         "glow": glow and replace(glow, values=np.clip(code(glow.values), -_LARGEST, _LARGEST)),
+        "refraction": index and replace(index, values=np.clip(code(index.values), -_LARGEST, _LARGEST)),
         "isosurfaces": tuple(level(surface) for surface in resolved.isosurfaces),
         "material": scaled(resolved.material, "fade"),
         "gradient_opacity": factor(resolved.gradient_opacity),

@@ -21,8 +21,8 @@ class Environment(Table):
 
     ``layout``: "latlong" has up (+y) in the first row and -z in the middle; "cube" is a vertical
     strip of the square faces +x, -x, +y, -y, +z, -z; "sphere" is a mirror ball as seen from afar along -z, with +y up:
-    its middle mirrors +z, its rim -z, and what is around the disc is not read. ``rotation_degrees`` rotates the map about the world's y axis.
-    ``visible``: rays that leave the volume show the map instead of the background.
+    its middle mirrors +z, its rim -z, and what is around the disc is not read. ``rotation_degrees`` rotates the map
+    about the world's y axis. ``visible``: rays that leave the volume show the map instead of the background.
     """
 
     file: Annotated[str, BeforeValidator(path_text), AfterValidator(is_path)] = Field(

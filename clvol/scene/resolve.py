@@ -45,6 +45,7 @@ from clvol.scene.noise import Noise
 from clvol.scene.opacity_factor import OpacityFactor
 from clvol.scene.overlay import Overlay
 from clvol.scene.pyramid import Pyramid
+from clvol.scene.refraction import RefractiveIndex
 from clvol.scene.shadow import Shadow
 from clvol.scene.slicing import Slicing
 from clvol.scene.step_times import StepTimes
@@ -110,6 +111,7 @@ class ResolvedScene:
     depth_cue: DepthCue | None = None
     animation: Animation = Animation()
     channels: tuple[ResolvedChannel, ...] = ()  # whose pictures are blended; ``volume`` is that of the first
+    refraction: RefractiveIndex | None = None
     mixed_channels: int = 0  # channels that are one medium: the volume and the first densities of ``fields``
     voxel_range: tuple[float, float] | None = None  # where ``volume`` holds codes instead of voxels
     axis: ValueAxis = ValueAxis()
@@ -233,6 +235,7 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         directional_opacity=None if scene.directional_opacity is None else scene.directional_opacity.factor(),
         transfer_layers=generated or _layers(scene, fields, unit, decoded),
         glow=glow,
+        refraction=None if scene.refraction is None else scene.refraction.resolved(),
         fields=tuple(fields),
         channels=() if mixes or len(channels) == 1 else channels,
         mixed_channels=len(channels) if mixes else 0,

@@ -105,6 +105,8 @@ class Scene(SceneTables):
         Factor on the extinction by gradient magnitude.
     directional_opacity : DirectionalOpacity, optional
         Factor on the extinction by the derivative along the ray.
+    refraction : Refraction, optional
+        An index of refraction by value, by whose gradient rays bend.
     transfer_layer : sequence of TransferLayerSettings
         Further layers of a two-dimensional transfer function.
     field : sequence of FieldSettings
@@ -255,7 +257,10 @@ class Scene(SceneTables):
     def _may_show_channels(self) -> bool:
         """Whether all channels of a file are shown where the scene selects none: it says nothing that holds for the
         values of one channel."""
-        by_value = (self.isosurface, self.transfer_layer, self.noise, self.gradient_opacity, self.directional_opacity)
+        by_value = (
+            self.isosurface, self.transfer_layer, self.noise, self.gradient_opacity, self.directional_opacity,
+            self.refraction,
+        )  # fmt: skip
         plain = isinstance(self.volume, VolumeSettings) and self.compression.codec == "none"
         return plain and self.transfer_function is None and not any(by_value) and not self.channel
 

@@ -31,6 +31,7 @@ from clvol.scene.noise import Noise
 from clvol.scene.opacity_factor import DirectionalOpacity, GradientOpacity
 from clvol.scene.overlay import Overlay
 from clvol.scene.pyramid import Pyramid
+from clvol.scene.refraction import Refraction
 from clvol.scene.shadow import Shadow
 from clvol.scene.slicing import Slicing
 from clvol.scene.table import AsTuple, Table, wrong
@@ -172,6 +173,11 @@ class SceneTables(Table):
     directional_opacity: DirectionalOpacity | None = Field(
         None,
         title="Factor on the extinction by the derivative along the ray.",
+        description=_TABLE,
+    )
+    refraction: Refraction | None = Field(
+        None,
+        title="An index of refraction by value, by whose gradient rays bend.",
         description=_TABLE,
     )
     transfer_layer: Annotated[tuple[TransferLayerSettings, ...], AsTuple] = Field(

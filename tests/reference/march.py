@@ -18,6 +18,7 @@ from reference.shadow import Shadows
 from reference.surfaces import bent
 
 MOST_BENDS = 8
+LONGEST_PATH = 8.0  # of rays that turn, in diagonals of the bounding box
 
 
 def render_twin(
@@ -56,6 +57,7 @@ class _Rays:
     kept: object
     side: np.ndarray
     travelled: np.ndarray = dataclasses.field(init=False)  # world length before origin, of a bent ray
+    travelled0: np.ndarray = dataclasses.field(init=False)  # and to where the ray entered the volume
     slot: np.ndarray = dataclasses.field(init=False)
     i: np.ndarray = dataclasses.field(init=False)
     bends: np.ndarray = dataclasses.field(init=False)
@@ -68,6 +70,7 @@ class _Rays:
         self.travelled, self.opacity, self.color = np.zeros(n), np.zeros(n), np.zeros((n, 3))
         self.slot, self.i, self.bends = (np.zeros(n, int) for _ in range(3))
         self.alive = np.isfinite(self.kept.enter[:, 0])
+        self.travelled0 = np.where(self.alive, self.kept.enter[:, 0], 0.0)
 
     def at(self, rays: np.ndarray, t: np.ndarray) -> np.ndarray:
         return self.origin[rays] + t[:, None] * self.direction[rays]
@@ -87,6 +90,8 @@ class _March:
         self.step = (step or integration.step) * self.medium.grid.smallest_edge
         self.stop = 1.0 - integration.early_termination
         self.environment = _environment(resolved.environment, environment_map)
+        self.index = resolved.refraction if self.mode == "over" else None
+        self.longest = LONGEST_PATH * np.linalg.norm(np.ptp(self.medium.grid.world_corners(), axis=0))
         self.surfaces = resolved.isosurfaces if self.mode == "over" else ()
         shadows = None if resolved.shadow is None else Shadows(resolved, self.medium, step)
         self.shader = Shader(resolved, self.environment, shadows)
@@ -96,6 +101,9 @@ class _March:
         kept = kept_stretches(grid, clips, origin, direction)
         side = np.zeros((len(origin), len(self.surfaces)), int)
         rays = _Rays(origin.copy(), direction.copy(), kept, side)
+        if self.index is not None and not clips:
+            entering = np.nonzero(rays.alive)[0]
+            self._turn(rays, entering, kept.enter[entering, 0].copy(), 0.5 * self.step)
         projection = None
         if self.mode != "over":
             attenuation = self.resolved.integration.attenuation
@@ -125,6 +133,10 @@ class _March:
             color, depth = self._look(rays, n, t0, t1)
             rays.composite(n, color, -np.expm1(-depth))
             bent_rays = np.zeros(len(n), bool)
+            if self.index is not None:
+                on = (t1 < leave) & (rays.travelled[n] + t1 < rays.travelled0[n] + self.longest)
+                on &= rays.opacity[n] < self.stop
+                bent_rays[on] = self._turn(rays, n[on], t1[on], self.step)
         on, t1, leave = n[~bent_rays], t1[~bent_rays], leave[~bent_rays]
         rays.i[on] += 1
         ended = on[t1 >= leave]
@@ -211,15 +223,42 @@ class _March:
             )
         return bends
 
-    def _restart(self, rays, n, at, direction, t, surface, side) -> None:
+    def _turn(self, rays, n, t, way) -> np.ndarray:
+        """Turns the rays ``n`` at ``t``, after which they go ``way`` as if the gradient of the index there stayed;
+        which of them turn. The angle to that gradient, whose half's tangent shrinks by exp(-|g| way / n), says so."""
+        at = rays.at(n, t)
+        value, gradient = self.medium.value(at), self.medium.gradient(at)
+        gradient = np.where(np.isfinite(gradient).all(axis=1)[:, None], gradient, 0.0)
+        turn = gradient * (self.index.slope(value) * way / self.index(value))[:, None]
+        size, direction = np.linalg.norm(turn, axis=1), rays.direction[n]
+        turns = size > 0
+        axis = turn / np.where(turns, size, 1.0)[:, None]
+        along = np.clip(np.sum(axis * direction, axis=1), -1, 1)
+        across = direction - along[:, None] * axis
+        sine = np.linalg.norm(across, axis=1)
+        half = np.arctan2(sine, 1.0 + along)  # half the angle to the gradient
+        tanh = 0.5 * size / np.sqrt(1.0 + (0.5 * size) ** 2)  # of half the turn, as the kernels shorten it
+        new = 2.0 * np.arctan(np.tan(half) * (1.0 - tanh) / (1.0 + tanh))
+        side = across / np.where(sine > 0, sine, 1.0)[:, None]
+        bent = np.cos(new)[:, None] * axis + np.sin(new)[:, None] * side
+        if turns.any():
+            self._go_on(rays, n[turns], at[turns], bent[turns], t[turns])
+        return turns
+
+    def _go_on(self, rays, n, at, direction, t) -> None:
         """Rays ``n`` go on from ``at`` in another direction."""
         rays.origin[n], rays.direction[n] = at, direction
         rays.travelled[n] += t
-        rays.bends[n] += 1
         kept = kept_stretches(self.medium.grid, self.resolved.clips, at, direction)
         rays.kept.enter[n], rays.kept.leave[n] = kept.enter, kept.leave
         rays.kept.normal[n] = kept.normal
         rays.slot[n] = rays.i[n] = 0
+        rays.alive[n] &= np.isfinite(kept.enter[:, 0])
+
+    def _restart(self, rays, n, at, direction, t, surface, side) -> None:
+        """Rays ``n`` go on from ``at`` in another direction."""
+        self._go_on(rays, n, at, direction, t)
+        rays.bends[n] += 1
         rays.side[n] = 0
         rays.side[n, surface] = side
 

@@ -43,6 +43,7 @@ _UNSUPPORTED = (
     ("BLOCKS", "blocks"),
     ("BRICKS", "codes that stay on the device"),
     ("GLOW", "associated colours"),
+    ("CURVED_RAYS", "continuous refraction"),
 )
 
 
