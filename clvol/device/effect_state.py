@@ -152,7 +152,10 @@ class EffectState:
             diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
             numbers["longest_path"] = LONGEST_PATH * diagonal / self.space.unit
         if resolved.fields:
-            self.fields = SceneFields(self.context, resolved, volume.cells, place, numbers, volume.cell_layout)
+            levels = volume.field_levels(resolved)
+            self.fields = SceneFields(
+                self.context, resolved, volume.cells, place, numbers, volume.cell_layout, levels
+            )
             self.arrays["fields"] = self.fields.voxels
         if any(table.size for table in tables):
             self.arrays["factors"] = self.context.upload(np.concatenate(tables))

@@ -13,6 +13,7 @@ import numpy as np
 from clvol.device.fields import kept_blocks
 from clvol.device.noise import displacement_bound, value_bound
 from clvol.features import called_for, reduced_for_frames
+from clvol.integrators.multiresolution.blocked_volume import levels_of_fields
 from clvol.integrators.multiresolution.clipped_blocks import MARGIN, kept_shares, removed_blocks
 from clvol.integrators.multiresolution.projection_errors import projected_colors, projection_errors
 from clvol.integrators.multiresolution.selection import SourceErrors, source_errors
@@ -36,15 +37,15 @@ _OF_SHADOWS = 1.0 / 64.0
 @dataclass(frozen=True)
 class EffectsOnBlocks:
     """What of a scene's effects matters to the choice of blocks: its clips, whether anything needs gradients, its
-    surfaces, its compositing, whether there are shadows, which what is not seen casts, too, its masks,
-    and its noise, which ``moves`` samples by so many voxels at most."""
+    surfaces, its compositing, whether there are shadows, which what is not seen casts, too, its masks
+    with their levels, and its noise, which ``moves`` samples by so many voxels at most."""
 
     clips: tuple[Clip, ...] = ()
     needs_gradients: bool = False
     surfaces: tuple[Isosurface, ...] = ()
     compositing: str = "over"
     casts_shadows: bool = False
-    masks: tuple[ResolvedField, ...] = ()
+    masks: tuple[tuple[ResolvedField, int], ...] = ()
     noise: tuple[Noise, ...] = ()
     moves: float = 0.0
 
@@ -63,7 +64,7 @@ def effects_on_blocks(resolved: ResolvedScene) -> EffectsOnBlocks:
     reduced = reduced_for_frames(resolved)
     return EffectsOnBlocks(
         reduced.clips, "gradients" in called_for(resolved), reduced.isosurfaces, reduced.integration.compositing,
-        reduced.shadow is not None, tuple(field for field in reduced.fields if field.role == "mask"),
+        reduced.shadow is not None, _masks(reduced),
         reduced.noise, _moved_by(reduced),
     )  # fmt: skip
 
@@ -76,6 +77,11 @@ def function_errors(
     if effects.compositing == "over":
         return source_errors(source, function, background)
     return projection_errors(source, function, background, effects.compositing)
+
+
+def _masks(resolved: ResolvedScene) -> tuple[tuple[ResolvedField, int], ...]:
+    fields = zip(resolved.fields, levels_of_fields(resolved))
+    return tuple((field, level) for field, level in fields if field.role == "mask")
 
 
 def _moved_by(resolved: ResolvedScene) -> float:
