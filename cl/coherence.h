@@ -12,8 +12,9 @@
  * Some packets are audited: they start at the hull, and it is seen whether their starts would have been late. Their
  * starts are marked by the lowest bit of the float.
  *
- * Rays keep to the steps that they would take from the hull, and begin at least two of them before the start. So a
- * picture is bit for bit that without coherence wherever the start is not late.
+ * Rays keep to the steps that they would take from the hull, and begin at least two of them before the start. Of the
+ * first segment that they pass then, the sample before it is not known, by which its ends would be corrected: it is known
+ * to show nothing, and left out (blind_segments). So a picture is bit for bit that without coherence wherever the start is not late.
  */
 #ifndef COHERENCE_H
 #define COHERENCE_H
@@ -27,6 +28,10 @@
 
 #define COHERENT_PARAMETERS \
   , __global const float *restrict starts, __global float *restrict kept, __global uint *restrict tallies
+#define KEPT_PARAMETER , __global float *restrict kept
+#define KEPT_ARGUMENT , kept
+#define STORE_KEPT(depth, pixel) kept[pixel] = (depth);
+#define STORE_KEPT4(depth, pixel) vstore4((float4)(depth), 0, kept + (pixel));
 #define TALLY_REUSED 0
 #define TALLY_HOLES 1
 #define TALLY_LATE 2
@@ -37,6 +42,9 @@
  * INFINITY where it never does, -INFINITY of rays beside the volume. */
 #define FIRST_PARAMETER , floatN *first
 #define FIRST_ARGUMENT , &first
+
+/* 1 where samples begin within the ray, at step `start`: after a leap the first segment is in empty space. */
+INLINE intN blind_segments(intN start) { return MASK(start > 0) & 1; }
 
 #define KEPT_EXIT(depth) (-1.0f - (depth))
 
@@ -80,9 +88,14 @@ INLINE floatN depth_to_keep(__constant const View *view, intN px, intN py, float
 #else
 
 #define COHERENT_PARAMETERS
+#define KEPT_PARAMETER
+#define KEPT_ARGUMENT
+#define STORE_KEPT(depth, pixel)
+#define STORE_KEPT4(depth, pixel)
 #define FIRST_PARAMETER
 #define FIRST_ARGUMENT
 #define BEGIN_FIRST(hits)
+INLINE intN blind_segments(intN start) { return (intN)0; }
 #define NOTE_FIRST(before, after, at)
 
 #endif

@@ -9,6 +9,7 @@
 
 #include "block_runs.h"
 #include "classify.h"
+#include "coherence.h"
 #include "features.h"
 #include "half_opacity.h"
 #include "packet_spans.h"
@@ -39,7 +40,7 @@ typedef struct {
 } March;
 
 PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, float *rgba, float *depth, uint *samples,
-                          Tally *counted)
+                          Tally *counted FIRST_PARAMETER)
 {
   __global const uchar *distances = scene->distances;
   __global const float *table = scene->table;
@@ -48,6 +49,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
   Rays ray = make_rays(view, TO_FLOAT(px), TO_FLOAT(py));
   ray.x0 += 0.5f, ray.y0 += 0.5f, ray.z0 += 0.5f;
   intN active = MASK(ray.length > 0.0f) & MASK(px < view->image.x) & MASK(py < view->image.y);
+  BEGIN_FIRST(active);
   const floatN zero = 0.0f, one = 1.0f;
   const floatN end = select(zero, ray.length, active);
   uintN taken = 0;
@@ -63,7 +65,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
 #else
   floatN value1 = 0.0f, value2 = 0.0f; /* the last sample and the one before it, and where they are */
   floatN t1 = 0.0f, t2 = 0.0f;
-  intN first = ~(intN)0, second = 0;   /* the run of samples begins: no sample before, or only one */
+  intN alone = ~(intN)0, second = 0;   /* the run of samples begins: no sample before, or only one */
   floatN t = start;                    /* the next sample */
 #endif
 
@@ -73,7 +75,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
 #if MIDPOINTS
     const floatN from = t;
 #else
-    const floatN from = select(select(t2, t1, second), t, first);
+    const floatN from = select(select(t2, t1, second), t, alone);
 #endif
     const floatN visible_at = next_visible(distances, view, from, lane_min(span_to, ray.length), active, &ray, counted);
     active &= MASK(visible_at < end);
@@ -83,7 +85,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
 #if MIDPOINTS
     t1 = t;
 #else
-    first |= leaps;
+    alone |= leaps;
 #endif
     if (!any_lane(active)) break;
 #endif
@@ -130,11 +132,12 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
       if (may_be_visible(value, value, active, view)) {
         const floatN before = acc.a;
         composite_value(&acc, value, lane_max(at_t - t1, zero), active, table, view);
+        NOTE_FIRST(before, acc.a, t1);
         pass_opacity(&acc, before, &half_, t1, at_t, value, value);
       }
       t1 = select(t1, at_t, active);
 #else
-      const intN closes = active & ~first; /* lanes with a segment that ends here */
+      const intN closes = active & ~alone; /* lanes with a segment that ends here */
       const floatN long_ = select(one, at_t - t1, closes);
       floatN front = value1, back = value;
 #if STEPPING == STEPPING_FULL
@@ -142,18 +145,28 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
 #else
       shift_uneven_ends(value2, &front, &back, select(one, t1 - t2, closes & ~second), long_, closes & ~second);
 #endif
-      if (may_be_visible(lane_min(front, back), lane_max(front, back), closes, view)) {
+#if COHERENT
+      /* As in march_plain.h: the first segment after a start within the ray shows nothing. */
+      const intN counts = closes & (~second | MASK(t1 <= zero));
+#else
+      const intN counts = closes;
+#endif
+      if (may_be_visible(lane_min(front, back), lane_max(front, back), counts, view)) {
         const floatN before = acc.a;
-        composite_segment(&acc, front, back, long_, closes, table, view);
+        composite_segment(&acc, front, back, long_, counts, table, view);
+        NOTE_FIRST(before, acc.a, t1);
         pass_opacity(&acc, before, &half_, t1, at_t, front, back);
       }
       value2 = select(value2, value1, active), t2 = select(t2, t1, active);
       value1 = select(value1, value, active), t1 = select(t1, at_t, active);
-      second = select(second, first, active), first &= ~active;
+      second = select(second, alone, active), alone &= ~active;
 #endif
       active &= MASK(at_t < end) & MASK(acc.a < view->stop_opacity);
     }
   }
+#if COHERENT
+  *first = ray.entry_depth + *first * view->step; /* it was in steps */
+#endif
   gathered_store(&acc, rgba);
 #if WITH_DEPTH
   STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, view) * view->step) * view->edge_length, depth);

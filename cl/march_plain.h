@@ -86,11 +86,11 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
     intN steps = max(min(last + 1 - i, (intN)MARCH_STEPS), (intN)0);
     uint shown[MARCH_STEPS], todo = 0;
     floatN fronts[MARCH_STEPS], backs[MARCH_STEPS];
-    const intN opens = start - i;
+    const intN opens = start - i, blind = blind_segments(start);
     UNROLL_LANES for (int step = 0; step < MARCH_STEPS; ++step) {
       const intN goes_on = MASK(step < steps);
       const floatN value = values[step];
-      const intN closes = goes_on & MASK(step > opens);
+      const intN closes = goes_on & MASK(step > opens + blind);
       floatN front = value1, back = value;
       shift_ends(value2, &front, &back, 1.0f, closes & MASK(step > opens + 1));
       value2 = select(value2, value1, goes_on), value1 = select(value1, value, goes_on);
@@ -144,7 +144,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
       const floatN before = acc.a;
       int visible;
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
-      const intN closes = active & MASK(i > start); /* lanes with a segment that ends here */
+      const intN closes = active & MASK(i > start + blind_segments(start)); /* lanes with a segment that ends here */
       const floatN value = values[step];
       floatN front = value1, back = value;
       shift_ends(value2, &front, &back, 1.0f, closes & MASK(i > start + 1));
@@ -204,6 +204,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
     taken -= AS_UINT(active);
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
     front = value1;
+    active &= MASK(i > start + blind_segments(start));
     shift_ends(value2, &front, &back, rest, active & MASK(i > start + 1));
     if (may_be_visible(lane_min(front, back), lane_max(front, back), active, view))
       composite_segment(&acc, front, back, rest, active, table, view);

@@ -15,6 +15,29 @@
  * samples    uint [tiles], reconstructions of the volume
  * starts, kept, tallies   where COHERENT is set (coherence.h)
  */
+#if LANES == 16
+/* The pixels of a packet that sees nothing. `keeps`: INFINITY where no ray is needed to find that again. */
+INLINE void write_nothing(__global float4 *image, __global float *depths KEPT_PARAMETER, int width, int column, int row,
+                          int right, int bottom, float keeps)
+{
+  const int whole = column + PACKET_W <= right && row + PACKET_H <= bottom;
+  for (int y = row; y < min(row + PACKET_H, bottom); ++y) {
+    const size_t first = (size_t)y * width + column;
+    if (whole) { /* a row of pixels is a vector */
+      vstore16((float16)0.0f, 0, (__global float *)(image + first));
+      if (WITH_DEPTH) vstore4((float4)INFINITY, 0, depths + first);
+      STORE_KEPT4(keeps, first)
+      continue;
+    }
+    for (int x = 0; x < min(PACKET_W, right - column); ++x) {
+      image[first + x] = 0.0f;
+      if (WITH_DEPTH) depths[first + x] = INFINITY;
+      STORE_KEPT(keeps, first + x)
+    }
+  }
+}
+#endif
+
 __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict image, __global float *restrict depths,
                                    __global uint *restrict samples COHERENT_PARAMETERS COUNTS_PARAMETER
                                    CHOSEN_PARAMETER)
@@ -47,26 +70,22 @@ __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict i
     if (column >= right || row >= bottom) continue;
 #if SPANS
     if (from[packet % LANES] > to[packet % LANES]) {
-#if LANES == 16 && !COHERENT && !WITH_DEPTH
-      if (column + PACKET_W <= right && row + PACKET_H <= bottom) { /* a row of pixels is a vector */
-        __global float *first = (__global float *)(image + (size_t)row * width + column);
-        for (int y = 0; y < PACKET_H; ++y) vstore16((float16)0.0f, 0, first + 4 * (size_t)y * width);
-        continue;
-      }
-#endif
-      for (int y = row; y < min(row + PACKET_H, bottom); ++y)
-        for (int x = column; x < min(column + PACKET_W, right); ++x) {
-          const size_t pixel = (size_t)y * width + x;
-          image[pixel] = 0.0f;
-#if COHERENT
-          kept[pixel] = INFINITY; /* no ray is needed to find that again */
-#endif
-#if WITH_DEPTH
-          depths[pixel] = INFINITY;
-#endif
-        }
+      write_nothing(image, depths KEPT_ARGUMENT, width, column, row, right, bottom, INFINITY);
       continue;
     }
+#endif
+#if COHERENT
+    const floatN start = start_of_lanes(starts, view, column, row);
+    const intN audited = audited_lanes(start);
+    const floatN from_here = lane_max(span.from, select(start, -(floatN)INFINITY, audited));
+#if SPANS
+    if (!any_lane(MASK(from_here <= span.to))) {
+      write_nothing(image, depths KEPT_ARGUMENT, width, column, row, right, bottom, KEPT_EXIT(view->deepest));
+      count_lanes(&tally[TALLY_REUSED], MASK(start > -(floatN)INFINITY));
+      continue;
+    }
+#endif
+    span.from = from_here;
 #endif
     float rgba[4 * LANES], depth[LANES];
     uint taken[LANES];
@@ -82,9 +101,6 @@ __kernel WIDE_VECTORS void raycast(SCENE_PARAMETERS, __global float4 *restrict i
 #if COHERENT
     floatN first = INFINITY;
     float kept_depth[LANES];
-    const floatN start = start_of_lanes(starts, view, column, row);
-    const intN audited = audited_lanes(start);
-    span.from = lane_max(span.from, select(start, -(floatN)INFINITY, audited));
 #endif
     render_packet(&scene, px, py, span, rgba, depth, taken, counted FIRST_ARGUMENT);
 #if COHERENT

@@ -75,8 +75,8 @@ def _coherence(resolved: ResolvedScene) -> dict[str, str]:
     """The mode of [coherence] that pictures are rendered with, and why."""
     mode, programs = resolved.coherence.mode, scene_programs(_as_decoded(resolved))
     switches = programs.get("raycast.cl")
-    if switches is None or switches.get("BLOCKS") or switches.get("SLICES"):
-        return {"mode": "off", "reason": "the method casts no packets of rays through a whole volume"}
+    if switches is None or switches.get("SLICES"):
+        return {"mode": "off", "reason": "the method casts no packets of rays"}
     if mode == "reproject" and "reproject.cl" not in programs:
         return {"mode": "cells", "reason": f"'reproject' does not go with {unsupported(resolved, switches)}"}
     if mode == "auto":

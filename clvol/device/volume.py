@@ -38,8 +38,9 @@ class ResidentVolume:
     ``voxels``: the (first) buffer of voxels or samples. ``values``: the map from voxels to the values that kernels
     compute with. ``switches``: how voxels are stored. ``size``: lattice points (x, y, z). ``stride``: elements from
     one row to the next, and from one slice to the next. ``cells`` (x, y, z): cells of empty space, each of
-    2^``cell_shift`` lattice units. ``layout``: switches (-D) that kernels need beside those of the scene, where voxels
-    lie neither in one array nor in blocks.
+    2^``cell_shift`` lattice units.
+    ``contents`` tells apart what is resident of the volume, where that changes. ``layout``: switches (-D) that kernels
+    need beside those of the scene, where voxels lie neither in one array nor in blocks.
 
     ``bounds``, ``min_max``, ``gradients`` and ``plain`` need all voxels in one array.
     """
@@ -55,6 +56,10 @@ class ResidentVolume:
     view_fields: dict[str, tuple[float, ...]] = {}  # (x, y, z) of members of ``View`` that are of this volume alone
     has_fine_bounds = False
     in_front: np.ndarray | None = None  # of a part of a volume, as in ``PartVolume``
+
+    @property
+    def contents(self) -> bytes:
+        return b""
 
     @property
     def cell_layout(self) -> CellLayout:

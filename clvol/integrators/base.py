@@ -121,13 +121,29 @@ class RefinesInTime(Protocol):
         ...
 
 
+# Counters of pictures with ``KeptDepths``, which no picture has besides: cl/coherence.h.
+SHARED_COHERENCE = ("coherence reused", "coherence holes", "coherence late", "coherence audited")
+
+
+@dataclass(frozen=True, eq=False)
+class KeptDepths:
+    """Where rays of a shared picture first contribute, float32 [height, width] as in cl/coherence.h: ``now``, which the
+    devices write, and ``before``, of the picture ``number_before``, after which they start; None: at the hull."""
+
+    now: np.ndarray
+    before: np.ndarray | None
+    number: int
+    number_before: int
+
+
 @dataclass(frozen=True, eq=False)
 class PictureArrays:
     """Where the devices that share a picture write it: ``rgba`` float32 [height, width, 4], ``depth`` float32
-    [height, width] or None."""
+    [height, width] or None, and ``kept``, if it takes starts from the one before."""
 
     rgba: np.ndarray
     depth: np.ndarray | None
+    kept: KeptDepths | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,9 +159,12 @@ class PartOfPicture:
 
 class TiledPictureParts(Protocol):
     """A picture on one of the devices that share it. Its tiles can be rendered in any order, stage after stage: a
-    stage begins once the one before is complete on all devices. ``notes``: as in ``FrameData``."""
+    stage begins once the one before is complete on all devices. ``notes``: as in ``FrameData``. ``coherent``: whether
+    it takes ``PictureArrays.kept``; then ``notes["coherence"]`` has the "reason" why rays start at the hull, or None,
+    and the scene's "audit"."""
 
     notes: dict[str, Any]
+    coherent: bool
 
     @property
     def tile(self) -> tuple[int, int]:

@@ -182,9 +182,13 @@ def _part(progress: Progress | None, number: int, count: int) -> Progress | None
 class _ChannelParts:
     """The parts of a picture of channels (``TiledPictureParts``)."""
 
+    coherent = False
+
     def __init__(self, channels: list[TiledPictureParts], blend: str, notes: dict[str, Any]) -> None:
         self._channels, self._blend = channels, blend
         self.notes = {**channels[0].notes, "channels": notes}
+        if "coherence" in self.notes:
+            self.notes["coherence"] = {"mode": "cells", "reason": "channels"}
         self._where = [(k, stage) for k, each in enumerate(channels) for stage in range(len(each.stages))]
         ends = np.cumsum([len(each.stages) for each in channels])
         self._first, self._last = [0, *ends[:-1].tolist()], (ends - 1).tolist()

@@ -18,6 +18,7 @@ from clvol.device.view import EVERY_PIXEL, PixelList, Pixels
 from clvol.errors import DeviceError, RenderError
 from clvol.integrators.base import (
     FrameData,
+    KeptDepths,
     PictureArrays,
     Prepared,
     Progress,
@@ -30,6 +31,7 @@ from clvol.opencl.context import shared_array
 from clvol.render.frame_schedule import Schedule, Span
 from clvol.render.member import LocalMember, Member, reason_of
 from clvol.render.picture_stage import FAILURES, PictureStage, Total
+from clvol.render.shared_history import SharedHistory
 from clvol.scene.camera import Camera
 from clvol.schedule.device_thread import DeviceThread
 from clvol.schedule.dispatch import Dispatcher
@@ -73,6 +75,7 @@ class DeviceGroup:
         self._arrays: Arrays = arrays or OwnArrays()
         self._costs: dict[tuple[int, int], np.ndarray] = {}  # by (stage, tiles), as measured in the last frame
         self._threads: dict[int, DeviceThread] = {}
+        self._history = SharedHistory(self._arrays)
         self.schedule: Schedule | None = None  # of the last frame
 
     def close(self) -> None:
@@ -217,29 +220,62 @@ class DeviceGroup:
         schedule.costs = [0.0] * len(self.members)
         first = next(iter(parts.values()))
         schedule.tile, counts = first.tile, first.stages
-        make = self._arrays.make
-        arrays = [
-            PictureArrays(make((h, w, 4), np.float32), make((h, w), np.float32) if depth else None)
-            for w, h in first.sizes
-        ]
+        coherent = all(part.coherent for part in parts.values())
+        kept = self._history.begin(width, height) if coherent else None
+        arrays = self._picture_arrays(first.sizes, depth, kept)
         total = Total()
         for number, tiles in enumerate(counts):
             report = None
             if progress is not None:
                 before = sum(counts[:number])
                 report = lambda done, before=before: progress(before + done, sum(counts))  # noqa: E731
-            able = {k: part for k, part in parts.items() if self.members[k].works}
-            is_list = isinstance(lattice, PixelList)  # another one each time
-            dispatcher = self._dispatcher(number, tiles, able, None if is_list else self._costs.get((number, tiles)))
-            stage = PictureStage(self.members, able, number, arrays, dispatcher, schedule, start, self._lose_in_frame)
-            stage.run({k: self._thread(k) for k in able}, report, total)
-            self._learn(None if is_list else number, stage)
+            self._stage(parts, number, tiles, arrays, schedule, start, isinstance(lattice, PixelList), report, total)
+        notes = dict(first.notes)
+        if coherent:
+
+            def again(kept: KeptDepths) -> None:
+                nonlocal arrays
+                self._release(arrays)
+                arrays, more = self._picture_arrays(first.sizes, depth, kept), Total()
+                self._stage(parts, 0, counts[0], arrays, schedule, start, False, None, more)
+                total.samples += more.samples
+
+            known, is_used = notes["coherence"], self._is_used
+            notes["coherence"] = self._history.end(total.counters, known, total.samples, is_used, again)
         rgba, distances = arrays[-1].rgba, arrays[-1].depth
-        is_used = any(m.busy_seconds for m in self.members)
-        take = np.array if is_used else self._arrays.taken  # what comes late must not change what the caller gets
+        take = np.array if self._is_used else self._arrays.taken  # what comes late must not change what the caller gets
         rgba, distances = take(rgba), None if distances is None else take(distances)
-        self._arrays.release([a for each in arrays for a in (each.rgba, each.depth)], is_used)
-        return FrameData(rgba, distances, total.samples, total.rays, total.counters, notes=dict(first.notes))
+        self._release(arrays)
+        return FrameData(rgba, distances, total.samples, total.rays, total.counters, notes=notes)
+
+    def _picture_arrays(
+        self, sizes: list[tuple[int, int]], depth: bool, kept: KeptDepths | None
+    ) -> list[PictureArrays]:
+        """Of the stages' ``sizes``."""
+        make = self._arrays.make
+        return [
+            PictureArrays(make((h, w, 4), np.float32), make((h, w), np.float32) if depth else None, kept)
+            for w, h in sizes
+        ]
+
+    def _release(self, arrays: list[PictureArrays]) -> None:
+        self._arrays.release([a for each in arrays for a in (each.rgba, each.depth)], self._is_used)
+
+    @property
+    def _is_used(self) -> bool:
+        """Whether a device may still write to arrays of the last picture."""
+        return any(m.busy_seconds for m in self.members)
+
+    def _stage(
+        self, parts: dict[int, TiledPictureParts], number: int, tiles: int, arrays: list[PictureArrays],
+        schedule: Schedule, start: float, is_list: bool, report: Callable[[int], None] | None, total: Total,
+    ) -> None:  # fmt: skip
+        """Renders a stage. ``is_list``: of a list of pixels, which is another one each time."""
+        able = {k: part for k, part in parts.items() if self.members[k].works}
+        dispatcher = self._dispatcher(number, tiles, able, None if is_list else self._costs.get((number, tiles)))
+        stage = PictureStage(self.members, able, number, arrays, dispatcher, schedule, start, self._lose_in_frame)
+        stage.run({k: self._thread(k) for k in able}, report, total)
+        self._learn(None if is_list else number, stage)
 
     def _parts(
         self, camera: Camera, width: int, height: int, depth: bool, lattice: Pixels

@@ -65,6 +65,11 @@ class BlockedVolume(ResidentVolume):
         self._bounds: tuple[np.ndarray, np.ndarray] | None = None
 
     @property
+    def contents(self) -> bytes:
+        """As in ``ResidentVolume``: the levels of the resident blocks."""
+        return self.blocks.levels.tobytes()
+
+    @property
     def cell_layout(self) -> CellLayout:
         """As in ``ResidentVolume``: blocks begin half a voxel before the first one's centre."""
         return CellLayout(1 << self.cell_shift, -0.5)

@@ -22,6 +22,7 @@ from clvol.features import STEPPINGS, reduced_for_frames
 from clvol.features.vocabulary import BLOCK_COUNTERS, CELLS
 from clvol.integrators.multiresolution.blocked_volume import BlockedVolume, HeldBlocks
 from clvol.integrators.raycast.caster import SECONDS_A_SAMPLE, Raycaster
+from clvol.integrators.raycast.history import History
 from clvol.integrators.raycast.march import March
 from clvol.integrators.raycast.switches import raycast_switches
 from clvol.integrators.tiles.geometry import TileGrid
@@ -66,11 +67,14 @@ class BlockCaster(Raycaster):
         skip: bool = True,
         tile: tuple[int, int] = (TILE, TILE),
         march: March | None = None,
+        history: History | None = None,
     ) -> None:
         self.blocks = blocks
         self._bounds_are_new = True
         volume = BlockedVolume(context, reduced_for_frames(resolved), blocks)
-        super().__init__(context, resolved, lanes=lanes, skip=skip, tile=tile, volume=volume, march=march)
+        super().__init__(
+            context, resolved, lanes=lanes, skip=skip, tile=tile, volume=volume, march=march, history=history
+        )
 
     @property
     def structs(self) -> dict[str, np.dtype]:

@@ -24,6 +24,7 @@ from clvol.integrators.multiresolution.scene_errors import (
 )
 from clvol.integrators.multiresolution.selection import SourceErrors
 from clvol.integrators.multiresolution.view_weight import view_weights, visibility
+from clvol.integrators.raycast.history import History
 from clvol.opencl.context import DeviceContext
 from clvol.scene.resolve import ResolvedScene
 from clvol.schedule.tiles import TILE
@@ -54,6 +55,7 @@ class CodedResidency:
         self._errors: tuple[TransferFunction, np.ndarray, EffectsOnBlocks, SourceErrors, np.ndarray] | None = None
         self._means = np.concatenate([part.mean[-1] for part in source.statistics()])
         self._request: tuple = ()
+        self.history = History()  # of pictures of these blocks
         self.generation = 0  # increases whenever something on the device has changed
 
     def ask(

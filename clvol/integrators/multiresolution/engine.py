@@ -17,6 +17,7 @@ from clvol.integrators.multiresolution.coded_caster import CodedBlockCaster
 from clvol.integrators.multiresolution.coded_residency import CodedResidency
 from clvol.integrators.multiresolution.residency import Residency
 from clvol.integrators.pyramid.blocks import BlockPyramidCaster
+from clvol.integrators.raycast.history import refused
 from clvol.integrators.raycast.picture import PictureParts
 from clvol.integrators.tiles.canvas import LAUNCH, SPEED, Canvas, SharedCanvas
 from clvol.integrators.tiles.geometry import TileGrid
@@ -63,7 +64,9 @@ class MultiresolutionEngine:
         self.residency = residency or Residency(context, resolved)
         self.ask(wait, progress)
         self._shown = self.residency.generation
-        self.caster = caster_of(resolved, self.residency)(context, resolved, self.residency.blocks)
+        make = caster_of(resolved, self.residency)
+        self.caster = make(context, resolved, self.residency.blocks)
+        self.caster.history = self.residency.history
 
     @property
     def visible_share(self) -> float:
@@ -146,7 +149,10 @@ class MultiresolutionEngine:
         """As ``Prepared.render``."""
         self._make_resident(camera, width, height)
         if self._tile_size and lattice == EVERY_PIXEL:
-            return self._described(self._tiled().render(camera, width, height, progress, depth))
+            tiled = self._described(self._tiled().render(camera, width, height, progress, depth))
+            if self.resolved.coherence.mode == "reproject":
+                tiled.notes["coherence"] = refused(self.resolved, self.caster.switches)
+            return tiled
         data = self.caster.render(camera, width, height, progress, depth, lattice)
         data.notes["blocks"] = self.residency.describe()
         if isinstance(self.residency, CodedResidency):

@@ -23,6 +23,8 @@ from clvol.integrators.multiresolution.residency import (
 from clvol.integrators.multiresolution.sample_allocator import map_shift, most_bytes
 from clvol.integrators.pyramid.blocks import block_pyramid_switches
 from clvol.integrators.pyramid.layout import block_pyramid_bytes
+from clvol.integrators.raycast.history import unsupported
+from clvol.integrators.raycast.reprojection import MARGIN
 from clvol.scene.resolve import ResolvedScene
 from clvol.scene.sizes import format_size
 from clvol.store.geometry import BlockGrid
@@ -146,7 +148,10 @@ class Multiresolution:
         if _slices(resolved):
             return {"pyramid.cl": block_pyramid_switches(resolved, lanes) | of_samples}
         switches = block_switches(resolved, lanes, True) | of_samples
-        programs = {"raycast.cl": switches}
+        reprojects = resolved.coherence.mode == "reproject" and not unsupported(resolved, switches)
+        programs = {"raycast.cl": {**switches, **({"COHERENT": 1} if reprojects else {})}}
+        if reprojects:
+            programs["reproject.cl"] = {"MARGIN": MARGIN}
         if resolved.multiresolution.tiles:
             programs["tile_rays.cl"] = switches
         if resolved.image.refines:

@@ -19,6 +19,7 @@ from clvol.integrators.multiresolution.scene_errors import (
     scene_errors,
 )
 from clvol.integrators.multiresolution.selection import Selection, SourceErrors, select_blocks
+from clvol.integrators.raycast.history import History
 from clvol.opencl.context import DeviceContext
 from clvol.scene.resolve import ResolvedScene
 from clvol.store.source import DROPPED, BlockSource
@@ -65,6 +66,7 @@ class Residency:
         self._means: np.ndarray | None = None
         self._request: tuple = ()
         self._waits = True
+        self.history = History()  # of pictures of these blocks
         self.generation = 0  # increases whenever something on the device has changed
 
     def ask(

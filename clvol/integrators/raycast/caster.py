@@ -26,6 +26,7 @@ from clvol.features import reduced_for_frames
 from clvol.features.gradient_storage import DeviceLimits
 from clvol.integrators.base import FrameData, Progress, Shared
 from clvol.integrators.raycast.cell_depths import cell_depths
+from clvol.integrators.raycast.coherent_parts import parts_from_history
 from clvol.integrators.raycast.constant_cells import changing_cells
 from clvol.integrators.raycast.frame_view import frame_view, volume_view
 from clvol.integrators.raycast.history import COHERENT_ARGUMENTS, History, render_from_history
@@ -302,13 +303,7 @@ class Raycaster:
         return replace(data, rgba=data.rgba[lattice.slices], depth=shown)
 
     def _picture(
-        self,
-        camera: Camera,
-        width: int,
-        height: int,
-        progress: Progress | None,
-        depth: bool,
-        lattice: Pixels,
+        self, camera: Camera, width: int, height: int, progress: Progress | None, depth: bool, lattice: Pixels
     ) -> FrameData:
         if self.shows_nothing:  # nothing can be seen: no ray needs to be cast
             size = lattice.size(width, height)[::-1]
@@ -336,6 +331,8 @@ class Raycaster:
         if self.shows_nothing or (isinstance(lattice, PixelList) and not self.lists_rays):
             return None
         self.begin(camera, width, height, lattice)
+        if lattice == EVERY_PIXEL and self.resolved.coherence.mode == "reproject":
+            return parts_from_history(self, camera, width, height, depth)
         return PictureParts(self, camera, width, height, depth, lattice)
 
     def begin(self, camera: Camera, width: int, height: int, lattice: Pixels) -> None:

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clvol.device.view import EVERY_PIXEL, RayFrame
+from clvol.features import STEPPINGS
 from clvol.integrators.base import FrameData, Progress
 from clvol.integrators.raycast.measured_gain import LEAST_PIXELS, MeasuredGain
 from clvol.integrators.raycast.picture import WholePicture
-from clvol.integrators.raycast.reprojection import MARGIN, Move, plan_move
+from clvol.integrators.raycast.reprojection import MARGIN, MOVE, Move, plan_move
 from clvol.integrators.raycast.same_starts import Facts
 from clvol.opencl.arguments import INT4, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
@@ -31,7 +32,9 @@ COHERENT_ARGUMENTS = (
 )
 _REUSED, _HOLES, _LATE, _AUDITED = range(4)  # as in cl/coherence.h
 _PAUSE, _LONGEST_PAUSE = 8, 64  # pictures from the hull after one with late starts: at first, and at most
-_NOTHING_REUSED: dict[str, Any] = {
+LATE_BEFORE = "starts were late"
+_NOTHING = 0x7F800000  # the bits of infinity
+NOTHING_REUSED: dict[str, Any] = {
     "reused_starts": 0, "holes": 0, "late_starts": 0, "samples_saved": 0, "reinitialised": True,
 }  # fmt: skip
 _UNSUPPORTED = (
@@ -40,11 +43,32 @@ _UNSUPPORTED = (
     ("COMPOSITING", "a projection"),
     ("SLICES", "slices"),
     ("WORKERS", "the pyramid"),
-    ("BLOCKS", "blocks"),
     ("BRICKS", "codes that stay on the device"),
     ("GLOW", "associated colours"),
     ("CURVED_RAYS", "continuous refraction"),
 )
+
+
+class LateStarts:
+    """After late starts pictures are rendered from the hull for a while, longer each time."""
+
+    def __init__(self) -> None:
+        self._pause = self._rests = 0  # the last pause in pictures, and what is left of it
+
+    def found(self) -> None:
+        self._pause = self._rests = min(max(2 * self._pause, _PAUSE), _LONGEST_PAUSE)
+
+    def rests(self) -> str | None:
+        """Why nothing is kept of the next picture, either; the last one before starts are taken again is kept."""
+        if self._rests <= 1:
+            return None
+        self._rests -= 1
+        return LATE_BEFORE
+
+    def starts_from_hull(self) -> bool:
+        """Whether the next picture, which is kept, does."""
+        self._rests -= (ends := self._rests > 0)
+        return ends
 
 
 class History:
@@ -59,23 +83,20 @@ class History:
         self.size = (0, 0)
         self.facts: Facts | None = None
         self.audits = 0  # so far
-        self.gain = MeasuredGain()
-        self._pause = self._rests = 0  # the last pause in pictures, and what is left of it
+        self.gain, self.late = MeasuredGain(), LateStarts()
+        self.number = 0  # of the picture, if it was shared
+        self._shared: History | None = None
         self._arrays: dict[str, DeviceArray] = {}
 
     def forget(self) -> None:
         self.frame = self.facts = None
 
-    def found_late(self) -> None:
-        """Starts were late: for a while, longer each time, pictures are rendered from the hull."""
-        self._pause = self._rests = min(max(2 * self._pause, _PAUSE), _LONGEST_PAUSE)
-
-    def rests(self) -> str | None:
-        """Why nothing is kept of the next picture, either; the last one before starts are taken again is kept."""
-        if self._rests <= 1:
-            return None
-        self._rests -= 1
-        return "starts were late"
+    @property
+    def of_shared(self) -> History:
+        """That of pictures that are shared with other devices."""
+        if self._shared is None:
+            self._shared = History()
+        return self._shared
 
     def array(self, name: str, shape: tuple[int, ...], make: Callable[[], DeviceArray]) -> DeviceArray:
         """The array ``name`` that is used for every picture of one size."""
@@ -83,11 +104,19 @@ class History:
             self._arrays[name] = make()
         return self._arrays[name]
 
+    def nearest(self, context: DeviceContext, shape: tuple[int, int]) -> tuple[DeviceArray, DeviceArray]:
+        """int32 arrays of ``shape``: one in which nothing is known, and one that is made so for the next picture."""
+        names = ("nearest", "nearest, too")[:: 1 if self.audits % 2 else -1]
+        made = [
+            self.array(name, shape, lambda: context.upload(np.full(shape, _NOTHING, np.int32), writable=True))
+            for name in names
+        ]
+        return made[0], made[1]
+
     def move_to(self, caster: Raycaster, frame: RayFrame, size: tuple[int, int], facts: Facts) -> Move | str:
         """How places move from the last picture to this one, or why rays start at the hull."""
-        if self._rests:
-            self._rests -= 1
-            return "starts were late"
+        if self.late.starts_from_hull():
+            return LATE_BEFORE
         if self.frame is None or self.facts is None:
             return "another size" if self.size not in ((0, 0), size) else "the first picture"
         reason = facts.reason_afresh(self.facts)
@@ -100,7 +129,20 @@ def unsupported(resolved: ResolvedScene, switches: Mapping[str, int]) -> str | N
     """Why pictures of a scene with these switches do not take starts from others; None if they may."""
     if resolved.image.ray_spacing > 1:
         return "image.ray_spacing"
+    if switches.get("BLOCKS"):
+        if resolved.compression.decode == "resident":
+            return "codes that stay on the device"
+        if resolved.multiresolution.tiles:
+            return "multiresolution.tiles"
+        if not switches.get("WORKERS") and switches["STEPPING"] != STEPPINGS["full"]:
+            return "steps that begin anew in each block"
     return next((reason for switch, reason in _UNSUPPORTED if switches.get(switch)), None)
+
+
+def refused(resolved: ResolvedScene, switches: Mapping[str, int]) -> dict[str, Any] | None:
+    """What is said of coherence where pictures do not take starts from others; None if they may."""
+    reason = unsupported(resolved, switches)
+    return None if reason is None else {"mode": "off" if switches.get("WORKERS") else "cells", "reason": reason}
 
 
 def arrays_to_warm_up(caster: Raycaster, tiles: int) -> dict[str, DeviceArray]:
@@ -115,20 +157,20 @@ def warm_up_reprojection(context: DeviceContext) -> None:
     """Launches the kernels of ``reproject``, for a picture of a tile of which nothing is known."""
     history, size = History(), (TILE, TILE)
     history.array("kept", size, lambda: context.upload(np.full(size, np.inf, np.float32), writable=True))
-    nowhere = Move(np.zeros(25, np.float32), (0, 0, 0, 0), np.zeros((1, 1), np.uint8))
+    nowhere = Move(np.zeros(MOVE, np.float32), (0, 0, 0, 0), np.zeros((1, 1), np.uint8))
     reproject(context, history, nowhere, size, 1.0, 1)
     context.finish()
 
 
 def visible_bounds(caster: Raycaster) -> tuple[np.ndarray, np.ndarray]:
     """Lattice points (x, y, z): corners of a box around all cells in which anything can be seen."""
-    shift, last = caster.volume.cell_shift, np.asarray(caster.volume.size) - 1
+    layout, last = caster.volume.cell_layout, np.asarray(caster.volume.size) - 1
     box = []
     for axis in (2, 1, 0):
         seen = np.flatnonzero(caster.shown.any(axis=tuple({0, 1, 2} - {axis})))
-        box.append((seen[0] << shift, (seen[-1] + 1) << shift))
+        box.append((seen[0] * layout.edge + layout.first, (seen[-1] + 1) * layout.edge + layout.first))
     low, high = np.array(box, np.float64).T
-    return np.minimum(low, last), np.minimum(high, last)
+    return np.clip(low, 0, last), np.minimum(high, last)
 
 
 class CoherentPicture(WholePicture):
@@ -170,12 +212,12 @@ def render_from_history(
     caster: Raycaster, history: History, camera: Camera, width: int, height: int, progress: Progress | None, depth: bool
 ) -> FrameData:
     """A picture whose rays start where ``history`` says. Its notes have "coherence"."""
-    refusal = unsupported(caster.resolved, caster.switches)
+    refusal = refused(caster.resolved, caster.switches)
     if refusal is not None:
         data = WholePicture(caster, camera, width, height, depth, EVERY_PIXEL).render(progress)
-        return replace(data, notes={**data.notes, "coherence": {"mode": "cells", "reason": refusal}})
+        return replace(data, notes={**data.notes, "coherence": refusal})
     begun, measured = perf_counter(), width * height >= LEAST_PIXELS
-    reason = history.rests()
+    reason = history.late.rests()
     if reason is None and measured:
         reason = history.gain.turn()
     if reason is not None:
@@ -183,13 +225,13 @@ def render_from_history(
         data = WholePicture(caster, camera, width, height, depth, EVERY_PIXEL).render(progress)
         if measured:
             history.gain.took(perf_counter() - begun, reused=False)
-        return replace(data, notes={**data.notes, "coherence": _NOTHING_REUSED | {"mode": "cells", "reason": reason}})
+        return replace(data, notes={**data.notes, "coherence": NOTHING_REUSED | {"mode": "cells", "reason": reason}})
     context, size, shape = caster.context, (width, height), (height, width)
     hull = history.array("hull", shape, lambda: context.upload(np.full(shape, np.inf, np.float32)))
     if history.size != size:
         history.forget()
     kept = history.array("kept", shape, lambda: context.empty(np.float32, shape))
-    facts = Facts.of(caster.resolved)
+    facts = Facts.of(caster.resolved, caster.volume.contents)
     picture = CoherentPicture(caster, camera, width, height, depth, hull, kept)
     found = history.move_to(caster, picture.frame, size, facts)
     reused = isinstance(found, Move)
@@ -209,7 +251,7 @@ def render_from_history(
     if sums[_LATE]:
         # What the audit found at some pixels may be at others, too.
         data = picture.render_again(data, hull)
-        history.found_late()
+        history.late.found()
         history.gain.lost()
     elif measured and reused:
         history.gain.took(perf_counter() - begun, reused=True)
@@ -226,41 +268,36 @@ def step_back(caster: Raycaster) -> float:
 
 
 def reproject(
-    context: DeviceContext, history: History, move: Move, size: tuple[int, int], back: float, audit: int
-) -> DeviceArray:
-    """float32 [height, width]: the starts of a picture of ``size`` (width, height), from what ``history`` has kept of
-    the picture before. One packet of ``audit`` is marked."""
+    context: DeviceContext, history: History, move: Move, size: tuple[int, int], back: float, audit: int,
+    kept: DeviceArray | None = None,
+) -> DeviceArray:  # fmt: skip
+    """float32 [height, width]: the starts of a picture of ``size`` (width, height), from what is ``kept`` of the
+    picture before; None: what ``history`` has kept. One packet of ``audit`` is marked."""
     width, height = size
-    stride, rows = width + 2 * MARGIN + TILE, height + 2 * MARGIN
-    nearest, widened = (
-        history.array(name, (rows, stride), lambda: context.empty(np.int32, (rows, stride)))
-        for name in ("nearest", "widened")
-    )
-    starts = history.array("starts", (height, width), lambda: context.empty(np.float32, (height, width)))
-    kept = history.array("kept", (height, width), lambda: context.empty(np.float32, (height, width)))
+    stride, rows = -(-(width + 2 * MARGIN) // TILE) * TILE + TILE, height + 2 * MARGIN
+    make = context.empty
+    starts = history.array("starts", (height, width), lambda: make(np.float32, (height, width)))
+    kept = kept or history.array("kept", (height, width), lambda: make(np.float32, (height, width)))
+    nearest, following = history.nearest(context, (rows, stride))
     numbers, inside = context.upload(move.numbers), context.upload(move.inside)
-    extent = np.array([width, height, stride, rows], np.int32)
-    window = np.array(move.window, np.int32)
     golden = _coprime(audit)
     chosen = np.array([audit, history.audits * golden % audit, golden, 0], np.int32)
-    history.audits += 1
 
     def run(name: str, items: int, *declared: Any, **given: Any) -> None:
         kernel = context.kernel("reproject.cl", name, declared, {"MARGIN": MARGIN})
-        kernel(context.queue, (items,), None, **given)
+        kernel(context.queue, (items,), (1,) if context.is_cpu else None, move=numbers, size=extent, **given)
 
-    of_nearest, of_widened = writes("nearest", np.int32, rows, stride), reads("widened", np.int32, rows, stride)
-    of_size, of_window = value("size", INT4), value("window", INT4)
-    run("clear_nearest", rows, of_nearest, of_size, nearest=nearest, size=extent)
-    run("project_kept", height, reads("kept", np.float32, height, width), of_nearest, reads("move", np.float32, 25),
-        of_size, value("old_width", np.int32),
-        kept=kept, nearest=nearest, move=numbers, size=extent, old_width=width)  # fmt: skip
-    run("widen_rows", rows, of_nearest, of_widened, of_size, of_window,
-        nearest=nearest, widened=widened, size=extent, window=window)  # fmt: skip
-    run("widen_columns", height, of_widened, reads("inside", np.uint8, *move.inside.shape),
-        writes("starts", np.float32, height, width), of_size, of_window, value("back", np.float32),
-        value("audit", INT4), widened=widened, inside=inside, starts=starts, size=extent, window=window, back=back,
+    extent = np.array([width, height, stride, rows], np.int32)
+    of_move, of_size = reads("move", np.float32, MOVE), value("size", INT4)
+    run("project_kept", rows, reads("kept", np.float32, height, width),
+        writes("nearest", np.int32, rows, stride), writes("next", np.int32, rows, stride), of_move, of_size,
+        kept=kept, nearest=nearest, next=following)  # fmt: skip
+    run("find_starts", move.inside.size, reads("nearest", np.int32, rows, stride),
+        reads("inside", np.uint8, *move.inside.shape), writes("starts", np.float32, height, width), of_move, of_size,
+        value("window", INT4), value("back", np.float32), value("audit", INT4),
+        nearest=nearest, inside=inside, starts=starts, window=np.array(move.window, np.int32), back=back,
         audit=chosen)  # fmt: skip
+    history.audits += 1
     return starts
 
 

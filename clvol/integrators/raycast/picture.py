@@ -185,6 +185,8 @@ class PictureParts(_Picture):
     They share the same tiles, also with devices on which a work-item casts one ray (whose own tiles are pixels).
     """
 
+    coherent = False
+
     @property
     def tile(self) -> tuple[int, int]:
         return (TILE, TILE) if self._caster.tile == (1, 1) else self._caster.tile
@@ -245,14 +247,14 @@ class PictureParts(_Picture):
 
     def end(self, stage: int, tiles: np.ndarray) -> None:
         this, context, arrays = self._stages[stage], self._context, self._arrays[stage]
-        if context.is_cpu:  # it has written there
-            context.take(this.outputs["image"])
-            if self._depth:
-                context.take(this.outputs["depths"])
-            return
-        width, height = this.size
         pairs = [(this.outputs["image"], arrays.rgba)]
         pairs += [(this.outputs["depths"], arrays.depth)] if arrays.depth is not None else []
+        pairs += [(this.outputs["kept"], arrays.kept.now)] if arrays.kept is not None else []
+        if context.is_cpu:  # it has written there
+            for output, _ in pairs:
+                context.take(output)
+            return
+        width, height = this.size
         across, down = self.tile
         columns = -(-width // across)
         own = np.zeros((-(-height // down), columns), bool)

@@ -4,8 +4,10 @@ around a pixel what it sees may have been in the picture before.
 A pixel may start at the nearest place that was splat on it (Klein et al., IEEE Visualization 2005, section 4), unless
 something shows now that was hidden. Whatever a new ray meets, at X, lay in the old picture on a ray that had met
 something at Y first, or X itself. X and Y are on one old ray, so in the new picture Y is nearer than X, and within the
-parallax between the nearest and the farthest depth at which anything can be visible. So the nearest place within the
-splat and that parallax is no later than X, up to what is thinner than a pixel of the old picture.
+parallax between the nearest and the farthest depth at which anything can be visible. The farther X is from Y in the new
+picture, the farther it is behind Y, too: small moves show little that is close behind Y. So a pixel may start at the
+nearest of all places within the splat and that parallax, each moved back by as many edges as X must be behind it there;
+that is no later than X, up to what is thinner than a pixel of the old picture.
 """
 
 from __future__ import annotations
@@ -17,17 +19,19 @@ import numpy as np
 from clvol.device.view import RayFrame
 from clvol.schedule.tiles import TILE
 
+MOVE = 28  # numbers of a move
 MARGIN = 64  # pixels around the picture, and of the largest window (cl/reproject.cl)
 _GRID = 9  # rays per side by which parallax is bounded
 _SLACK = 1.1  # over what these rays show
 _LEAST_DISTANCE = 0.5  # edges from an eye to anything that may be visible
-_LEAST_SPLAT_OF_EXITS = 3  # so that each pixel has those around it
+_LEAST_SPLAT = 3  # so that each pixel has those around it, and no place near means nothing to see
 _SAME = 0.05  # pixels that do not count
+_NEVER = 1e6  # edges per pixel where nothing moves
 
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """``numbers`` float32 [25] and ``window`` (x0, x1, y0, y1), as cl/reproject.cl takes them. ``inside`` uint8 [rows,
+    """``numbers`` float32 [28] and ``window`` (x0, x1, y0, y1), as cl/reproject.cl takes them. ``inside`` uint8 [rows,
     columns]: tiles all of whose rays were in the old view."""
 
     numbers: np.ndarray
@@ -99,16 +103,44 @@ def plan_move(
         window += [int(np.floor(low)) - size + 1, int(np.ceil(high))]
     if max(map(abs, window)) > MARGIN:
         return "motion"
-    numbers = np.zeros(25, np.float32)
+    behind = _edges_behind(coefficients, old, new, at_x[..., 0], at_y[..., 0], (near, far))
+    if behind is None:
+        return "motion"
+    numbers = np.zeros(MOVE, np.float32)
     numbers[:18] = coefficients.ravel()
     numbers[18] = new.distance if is_perspective(new) else -1.0
-    numbers[19:25] = *old.centre, *new.centre, size, size >= _LEAST_SPLAT_OF_EXITS
+    numbers[19:27] = *old.centre, *new.centre, size, size >= _LEAST_SPLAT, *behind
+    # A ray is half a pixel, at most, beside the one whose place is taken: that much less it is beyond the splat.
+    numbers[27] = 0.5 if splat > 1 else 1.0
     tiles = tuple(-(-n // TILE) for n in new_size[::-1])
     if x.min() > 0 and y.min() > 0 and x.max() < old_size[0] - 1 and y.max() < old_size[1] - 1:
         inside = np.ones(tiles, np.uint8)
     else:
         inside = _tiles_inside(new, old, new_size, old_size, (new_near, new_far))
     return Move(numbers, (window[0], window[1], window[2], window[3]), inside)
+
+
+def _edges_behind(
+    coefficients: np.ndarray, old: RayFrame, new: RayFrame, x: np.ndarray, y: np.ndarray, depths: tuple[float, float]
+) -> tuple[float, float] | None:
+    """Edges, at least, by which a place is farther behind the new reference plane than another one on the same old ray
+    for each pixel, of columns and of rows, between them in the new picture: halves, since a sum of both is taken for
+    the larger one. ``x``, ``y``: old pixels. None where a place farther behind the old plane is nearer to the new
+    one."""
+    terms = np.stack(np.broadcast_arrays(1.0, x - old.centre[0], y - old.centre[1]))
+    at_plane, along = np.tensordot(coefficients[:, :3], terms, 1), np.tensordot(coefficients[:, 3:], terms, 1)
+    if along[0].min() <= 0:
+        return None
+    rates = np.zeros(2)
+    for s in depths:  # the rate of a homography is largest at one of them
+        from_eye = new.distance + at_plane[0] + s * along[0] if is_perspective(new) else np.ones_like(along[0])
+        turns = along[0] if is_perspective(new) else 0.0
+        for axis in (0, 1):
+            place = at_plane[axis + 1] + s * along[axis + 1]
+            rate = (along[axis + 1] * from_eye - place * turns) / (from_eye**2 * along[0])
+            rates[axis] = max(rates[axis], _SLACK * float(np.abs(rate).max()))
+    columns, rows = (float(np.minimum(0.5 / np.maximum(rate, 1e-30), _NEVER)) for rate in rates)
+    return columns, rows
 
 
 def _seen(frame: RayFrame, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

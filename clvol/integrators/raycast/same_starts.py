@@ -26,13 +26,15 @@ class Facts:
     surfaces: tuple[float, ...]
 
     @classmethod
-    def of(cls, scene: ResolvedScene) -> Facts:
+    def of(cls, scene: ResolvedScene, contents: bytes = b"") -> Facts:
+        """``contents``: what the device holds of the volume, if that changes."""
         integration = scene.integration
         moves = any(any(term.velocity) for term in scene.noise)
         by_gradient = scene.gradient_opacity, scene.directional_opacity
         gradients = any(factor is not None for factor in by_gradient) or scene.transfer_layers
         same = {
             "the volume": (scene.volume,),
+            "the blocks": (contents,),
             "the fields": scene.fields,
             "the clips": scene.clips,
             "the noise": (*scene.noise, scene.animation.time if moves else 0.0),
@@ -60,6 +62,8 @@ class Facts:
         scene = self.scene
         if not before.surfaces or self.surfaces[0] < before.surfaces[0]:
             return False
+        if self.same["the blocks"][0]:
+            return False  # which would have to be read
         if scene.noise or scene.clips or scene.integration.filter not in ("nearest", "linear"):
             return False
         return _largest_on_faces(scene.volume.data) < before.surfaces[0]
@@ -78,7 +82,7 @@ def shows_no_more(now: TransferFunction, before: TransferFunction) -> bool:
 
 def _alike(a: tuple[Any, ...], b: tuple[Any, ...]) -> bool:
     """Objects without a value of their own are alike if they are the same."""
-    plain = (str, float, int)
+    plain = (str, float, int, bytes)
     return len(a) == len(b) and all(
         x is y or (type(x) is type(y) and (isinstance(x, plain) or hasattr(x, "model_fields_set")) and x == y)
         for x, y in zip(a, b)

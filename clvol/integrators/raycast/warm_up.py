@@ -30,7 +30,7 @@ def warm_up(caster: Raycaster, width: int, height: int, depth: bool, chosen: np.
     counts = [caster.context.empty(np.uint32, (tiles,)) for _ in range(2)]
     none = {"image": caster.no_array, "depths": caster.no_array, "samples": counts[0]}
     tallies = []  # kept until they are written
-    starts = arrays_to_warm_up(caster, tiles) if chosen is None else {}
+    starts = arrays_to_warm_up(caster, tiles)
     both = bool(starts) and width * height >= LEAST_PIXELS  # with starts and without (measured_gain.py)
     for outputs in (none, none | starts) if both else (none | starts,):
         if caster.without_surfaces is None:

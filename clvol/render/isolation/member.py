@@ -228,6 +228,7 @@ class IsolatedPicture:
         self.sizes: list[tuple[int, int]] = [(width, height) for width, height in member.take(known, "sizes", list)]
         self.stages: list[int] = member.take(known, "stages", list)
         self.notes: dict[str, Any] = member.take(known, "notes", dict)
+        self.coherent = member.take(known, "coherent", bool)
 
     def expected_costs(self, stage: int) -> np.ndarray:
         member = self._member
@@ -235,8 +236,11 @@ class IsolatedPicture:
 
     def begin(self, stage: int, arrays: list[PictureArrays]) -> None:
         flat = [array for each in arrays for array in (each.rgba, each.depth)]
+        kept = arrays[stage].kept
+        flat += [] if kept is None else [kept.now, kept.before]
         described, descriptors = self._member.segments(flat)
-        self._member.ask("begin", {"stage": stage, **described}, descriptors)
+        numbers = None if kept is None else [kept.number, kept.number_before]
+        self._member.ask("begin", {"stage": stage, "kept": numbers, **described}, descriptors)
 
     def render(self, stage: int, tiles: np.ndarray) -> PartOfPicture:
         member = self._member

@@ -17,7 +17,15 @@ from typing import Any
 import numpy as np
 
 from clvol.errors import ClvolError, ClvolWarning
-from clvol.integrators.base import FrameData, PictureArrays, Progress, RefinesInTime, RendersParts, TiledPictureParts
+from clvol.integrators.base import (
+    FrameData,
+    KeptDepths,
+    PictureArrays,
+    Progress,
+    RefinesInTime,
+    RendersParts,
+    TiledPictureParts,
+)
 from clvol.opencl.context import DeviceContext
 from clvol.opencl.devices import open_devices
 from clvol.render.isolation.channel import Channel, ChannelClosed, Message
@@ -179,7 +187,7 @@ class Worker:
             return {"divides": False}
         sizes = [[int(n) for n in size] for size in parts.sizes]
         known = {"tile": [int(n) for n in parts.tile], "sizes": sizes, "stages": [int(n) for n in parts.stages]}
-        return {"divides": True, **known, "notes": parts.notes}
+        return {"divides": True, **known, "notes": parts.notes, "coherent": parts.coherent}
 
     def on_expected_costs(self, message: Message) -> Message:
         assert self._parts is not None
@@ -187,8 +195,13 @@ class Worker:
 
     def on_begin(self, message: Message) -> Message:
         assert self._parts is not None
-        both = zip(self._arrays[::2], self._arrays[1::2])
-        pairs = [PictureArrays(rgba, depth) for rgba, depth in both if rgba is not None]
+        kept, arrays = None, self._arrays
+        if message["kept"] is not None:
+            *arrays, now, before = arrays
+            assert now is not None
+            kept = KeptDepths(now, before, *message["kept"])
+        both = zip(arrays[::2], arrays[1::2])
+        pairs = [PictureArrays(rgba, depth, kept) for rgba, depth in both if rgba is not None]
         self._parts.begin(message["stage"], pairs)
         return {}
 

@@ -3,6 +3,7 @@ the pictures that start at the hull, over every way in which a start could be la
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -16,7 +17,7 @@ from clvol.device.view import ray_frame
 from clvol.integrators.raycast import history as module
 from clvol.integrators.raycast.caster import Raycaster
 from clvol.integrators.raycast.measured_gain import MeasuredGain
-from clvol.integrators.raycast.reprojection import MARGIN, Move, change_of_camera, plan_move
+from clvol.integrators.raycast.reprojection import MARGIN, Move, change_of_camera, moved, plan_move
 from clvol.scene.coherence import Coherence
 from clvol.scene.isosurface import Isosurface
 from clvol.schedule.animation import orbited
@@ -115,8 +116,10 @@ def test_starts_are_those_of_the_reference(context, parallel):
     history = module.History()
     history.array("kept", kept.shape, lambda: context.upload(kept, writable=True))
     found = context.read(module.reproject(context, history, move, SIZE, 2.0, 7))
-    expected = reference.starts(x, y, depth, SIZE, size, move.window, 2.0)
+    expected = reference.starts(x, y, depth, SIZE, size, move.window, 2.0, move.numbers[25:27], move.numbers[27])
     assert np.isfinite(expected).mean() > 0.9
+    found, expected = (np.where(each > 1e29, np.inf, each) for each in (found, expected))
+    assert np.isinf(expected).sum() > 10
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-3)
     marked = (found.view(np.int32) & 1).astype(bool) & np.isfinite(found)
     assert 0.1 < marked.mean() < 0.2
@@ -139,6 +142,23 @@ def test_a_place_is_where_both_cameras_see_it(context):
         return at + s * (frame.forward[:, None] + u * frame.ray_du[:, None] + v * frame.ray_dv[:, None])
 
     np.testing.assert_allclose(place(new, across / from_eye, down / from_eye, depth), place(old, u, v, s), atol=1e-9)
+
+
+def test_what_is_behind_moves_no_faster_than_is_counted():
+    """Two places on an old ray: in the new picture the farther one is behind the nearer one by what is added there."""
+    resolved, rng = scene(), np.random.default_rng(7)
+    kinds = ({}, {"projection": "orthographic", "height": 70.0})
+    bounds = np.zeros(3), np.asarray(SHAPE[::-1]) - 1.0
+    for kind, to in itertools.product(kinds, (turned(3.0), turned(-1.0), turned(0.2))):
+        cameras = [complete(resolved, {**AROUND, **kind}), complete(resolved, {**to, **kind})]
+        old, new = (ray_frame(camera, resolved.volume.grid, *SIZE) for camera in cameras)
+        move = plan_move(old, new, SIZE, SIZE, bounds, 3)
+        x, y, near, far = rng.uniform(size=(4, 500)) * [[SIZE[0]], [SIZE[1]], [50], [50]]
+        near, far = np.minimum(near, far), np.maximum(near, far)
+        ends = [moved(change_of_camera(old, new), old, new, x, y, s) for s in (near, far)]
+        across, down, depth = np.subtract(ends[1], ends[0])
+        least = np.abs(across) * move.numbers[25] + np.abs(down) * move.numbers[26]
+        assert (least <= depth + 1e-3).all() and least.max() > 0.2 * depth.max()
 
 
 def test_coarse_splats_leave_holes_and_larger_ones_none(context):
