@@ -39,6 +39,7 @@ from clvol.transfer import TransferFunction
 from clvol.transfer.lookup_nodes import visible_cells
 from clvol.transfer.pieces import shown_spans, value_gate
 from clvol.transfer.step_bounds import most_steps
+from clvol.volume.voxel_layout import CELL_SHIFT
 
 # Switches of kernels that work on blocks and cast no rays.
 _OF_BLOCKS = (
@@ -154,6 +155,7 @@ class BlockCaster(Raycaster):
         self.light_volume_samples = 0
         if self._casts_shadows:
             self._build_shadows()
+        self.without_surfaces = self._beside_surfaces()
         self.march.scene_changed(self)
 
     def _projected_cells(self, volume: BlockedVolume) -> np.ndarray:
@@ -170,21 +172,34 @@ class BlockCaster(Raycaster):
         count, too."""
         if self.resolved.noise:
             levels = [float(self.volume.values(surface.value)) for surface in self.resolved.isosurfaces]
-            self.surface_cells = dilated(surface_mask(self.volume, "linear", levels, self._moved))
-            self.effects.set_surfaces(distance_map(self.context, self.surface_cells))
-            return self.surface_cells
+            return self._with_surfaces(surface_mask(self.volume, "linear", levels, self._moved))
         nodes = self.nodes.values
         between, at = np.zeros(nodes.size - 1, bool), np.zeros(nodes.size, bool)
         for surface in self.resolved.isosurfaces:
             place = int(np.searchsorted(nodes, float(self.volume.values(surface.value))))
             between[max(place - 2, 0) : place + 1] = at[max(place - 1, 0) : place + 1] = True
-        self.surface_cells = dilated(self._cells_that_show(between, at) != CELLS["empty"])
-        self.effects.set_surfaces(distance_map(self.context, self.surface_cells))
-        return self.surface_cells
+        return self._with_surfaces(self._cells_that_show(between, at) != CELLS["empty"])
 
-    def _beside_surfaces(self) -> None:
-        """As in ``Raycaster``: every tile takes the same kernel, since cells of blocks are those of no surface's."""
-        return None
+    def _with_surfaces(self, found: np.ndarray) -> np.ndarray:
+        """bool [z, y, x]: the cells ``found``, and those beside where blocks are not at full resolution: there a voxel
+        cell may have corners whose values do not occur in its part of a cell. The effects get the distances to them;
+        tiles are told apart by cells of the lattice, which lie half a voxel off."""
+        around = dilated(found)
+        cells = found | (around & ~self._whole_cells)
+        self.effects.set_surfaces(distance_map(self.context, cells))
+        self.surface_cells = resized_cells(around, self.volume.cell_shift, CELL_SHIFT)
+        return cells
+
+    @property
+    def _whole_cells(self) -> np.ndarray:
+        """bool [z, y, x]: cells of blocks that are, and have around them, nothing but voxels."""
+        blocks = self.blocks.blocks
+        if not self.settings.interblock:
+            return np.zeros(self.volume.cells[::-1], bool)
+        whole = ~dilated((self.blocks.levels != 0).reshape(blocks.counts))
+        for axis in range(3):
+            whole = whole.repeat(blocks.edge >> self.volume.cell_shift, axis=axis)
+        return whole
 
     def _cells_that_show(self, between: np.ndarray, at: np.ndarray) -> np.ndarray:
         """uint8 [z, y, x], ``CELLS``: cells of resident blocks that have a value in one of the intervals ``between``
@@ -328,6 +343,17 @@ class BlockCaster(Raycaster):
         blocks, bits = self.blocks.blocks, self.volume.switches["VOXEL_BITS"]
         index = self.blocks.index
         return corner_statistics(self.context, index, blocks, view, bits, grid), blocks.edge
+
+
+def resized_cells(cells: np.ndarray, shift: int, wanted: int) -> np.ndarray:
+    """bool [z, y, x] ``cells`` of 2^``shift`` units as cells of 2^``wanted``: those that hold, or are in, a marked
+    one."""
+    for axis in range(3):
+        if shift > wanted:
+            cells = cells.repeat(1 << (shift - wanted), axis=axis)
+        elif shift < wanted:
+            cells = np.logical_or.reduceat(cells, np.arange(0, cells.shape[axis], 1 << (wanted - shift)), axis=axis)
+    return cells
 
 
 def block_switches(

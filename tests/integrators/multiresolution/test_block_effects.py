@@ -102,6 +102,20 @@ def test_surfaces_alone_hold_the_blocks_that_they_go_through(context):
     assert held[through & ~removed].all() and not held[removed].any() and (through & ~removed).any()
 
 
+@pytest.mark.slow  # a program more, of tiles that see no surface
+def test_tiles_without_surfaces_are_the_same_bits(context):
+    data = np.where((np.indices(SHAPE) > 26).all(axis=0), waves(SHAPE, np.uint8), 60).astype(np.uint8)
+    tables = {"isosurface": SURFACES["isosurface"], "light": LIT["light"]}
+    resolved, levels = scene(Volume(data), **tables), random_levels(BlockGrid(SHAPE), 3) % 3
+    parted = rendered(context, resolved, levels, tile=(4, 4))
+    assert parted.counters["tiles_without_surfaces"] > 3 and parted.counters["tiles_with_surfaces"] > 3
+    whole = rendered(context, resolved, levels, tile=(24, 20))
+    assert not whole.counters["tiles_without_surfaces"]
+    np.testing.assert_array_equal(parted.rgba, whole.rgba)
+    np.testing.assert_array_equal(parted.depth, whole.depth)
+    assert parted.counters["surface_hits"] == whole.counters["surface_hits"]
+
+
 # ---- hard cases ----
 
 
