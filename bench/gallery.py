@@ -94,6 +94,8 @@ TILES = (
          "scattering", "[shadow] scattering"),
     Tile("cloud", "Noise and sun", "An ellipsoid that noise stirs and frays, shadows and "
          "scattering in it.", "noise", "[[noise]]"),
+    Tile("cloud-iridescent", "Noise of attenuation", "Scattered light whose attenuation differs by noise, a colour at "
+         "a time: iridescence.", "attenuation noise", '[[noise]] target = "attenuation"'),
     Tile("heptane-glow", "Associated colours", "Flames that emit without hiding anything, in smoke that emits "
          "nothing.", "associated colours", "[transfer_function] associated, emission"),
     Tile("fireball", "Fireball, 0 s", "A radial field, two noises that move, colours that cycle.",

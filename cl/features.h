@@ -77,9 +77,11 @@
 #define FIELD_COLOR 8
 #define FIELD_VALUE 16
 
-/* What a term of noise perturbs, and bits of the switch NOISE: whether any term does (noise.h). */
+/* What a term of noise perturbs, and bits of the switch NOISE: whether any term does (noise.h). Attenuation has a switch
+ * of its own, TINTED_SCATTERING (light_volume.cl). */
 #define NOISE_TARGET_VALUE 0
 #define NOISE_TARGET_COORDINATE 1
+#define NOISE_TARGET_ATTENUATION 2
 #define NOISE_ADDS (1 << NOISE_TARGET_VALUE)
 #define NOISE_MOVES (1 << NOISE_TARGET_COORDINATE)
 

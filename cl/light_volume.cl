@@ -8,6 +8,8 @@
  * here each ray goes straight to the light. So this lacks light that turns by more than the cone's angle, and multiple
  * scattering round an opaque obstacle wider than the cone. Energy is not conserved, but never exceeds the light's own.
  *
+ * TINTED_SCATTERING: noise is added to the shares 1 - colour, a channel to each (Engel and Ertl 2002, section 10).
+ *
  * Switches (-D): those of the picture.
  */
 #include "render_packet.h"
@@ -24,6 +26,25 @@ INLINE void axes_across(Vectors axis, Vectors *u, Vectors *v)
   *u = unit3(*u);
   v->x = axis.y * u->z - axis.z * u->y, v->y = axis.z * u->x - axis.x * u->z, v->z = axis.x * u->y - axis.y * u->x;
 }
+
+#if TINTED_SCATTERING
+/* Shares of the extinction that attenuate red, green and blue at a lattice place, with noise, 0 .. 1. */
+INLINE Vectors tinted_shares(const Scene *scene, Vectors place, Vectors less)
+{
+  __constant const Effects *e = scene->effects;
+  const floatN zero = 0.0f, one = 1.0f;
+  __constant const NoiseTerm *terms = e->noise_terms + e->added_terms + e->moving_terms;
+  _Pragma("unroll 1") for (int k = 0; k < e->tinting_terms; ++k) {
+    __constant const NoiseTerm *term = terms + k;
+    Vectors sum;
+    fractal_noise(scene->noise, term, place.x * term->scale.x, place.y * term->scale.y, place.z * term->scale.z,
+                  &sum.x, &sum.y, &sum.z);
+    less = sum3(less, scaled3(sum, term->value_amplitude));
+  }
+  const Vectors within = {lane_clamp(less.x, zero, one), lane_clamp(less.y, zero, one), lane_clamp(less.z, zero, one)};
+  return within;
+}
+#endif
 
 /* cone     float4 [1 + directions]: (1 - colour, directions), then unit vectors about +z, w 0
  * arrives  float [points of all lights, LIGHT_CHANNELS]: rgb, or one number without scattering
@@ -56,8 +77,12 @@ __kernel WIDE_VECTORS void light_volume(SCENE_PARAMETERS, __global const float4 
   const intN all = MASK(item * LANES + LANE_INDEX < points);
   Vectors u, v;
   axes_across(towards, &u, &v);
-  const float4 less = cone[0];
-  const int directions = SCATTERING ? (int)less.w : 0;
+  const float4 shares = cone[0];
+  Vectors less = broadcast3(shares);
+#if TINTED_SCATTERING
+  less = tinted_shares(scene, place, less);
+#endif
+  const int directions = SCATTERING ? (int)shares.w : 0;
   floatN straight = 1.0f;
   Vectors scattered = {0.0f, 0.0f, 0.0f};
   _Pragma("unroll 1") for (int k = 0; k <= directions; ++k) {

@@ -89,8 +89,8 @@ class EffectState:
             gradients, scale = volume.gradients(resolved.gradient.operator)
             self.arrays["gradients"], self.numbers["gradient_scale"] = gradients, scale
         self._add_environment(resolved.environment, resolved.material.shininess)
-        if resolved.noise:
-            self.arrays["noise"] = context.upload(device_tiles(resolved.noise))
+        if all_noise := (*resolved.noise, *resolved.attenuation_noise):
+            self.arrays["noise"] = context.upload(device_tiles(all_noise))
             self._fill_noise(resolved)
         if "COMPOSITING" in self.switches:
             self._add_projection(resolved, volume)
@@ -179,8 +179,9 @@ class EffectState:
         """The terms at ``animation.time``."""
         grid, numbers = resolved.volume.grid, self.numbers[0]
         numbers["noise_terms"], numbers["added_terms"], numbers["moving_terms"] = device_noise(
-            resolved.noise, grid, resolved.animation.time, self._value_gain
+            (*resolved.noise, *resolved.attenuation_noise), grid, resolved.animation.time, self._value_gain
         )
+        numbers["tinting_terms"] = len(resolved.attenuation_noise)
         numbers["noise_reach"][:3] = 0.5 * grid.smallest_edge / np.asarray(grid.spacing)
 
     def _add_projection(self, resolved: ResolvedScene, volume: ResidentVolume) -> None:
@@ -212,7 +213,7 @@ class EffectState:
             other.numbers = self.numbers.copy()
             if self.switches.get("SHADOWS"):
                 other.numbers["shadow_step"] = shadow_step(resolved)
-            if resolved.noise:
+            if resolved.noise or resolved.attenuation_noise:
                 other._fill_noise(resolved)
             other.numbers["attenuation"] = attenuation_a_step(resolved)
             other.arrays["effects"] = self.context.upload(other.numbers)

@@ -49,6 +49,7 @@ def effect_switches(
         **field_switches(resolved),
         "NOISE": _noise(resolved),
         **shadow_switches(resolved),
+        **({"TINTED_SCATTERING": 1} if resolved.attenuation_noise else {}),
         **({"GLOW": 1} if resolved.glow is not None else {}),
         **({"CURVED_RAYS": 1} if curves else {}),
         "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides or curves else 0,

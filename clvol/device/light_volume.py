@@ -20,6 +20,7 @@ from clvol.schedule.tiles import bands
 from clvol.volume import Grid
 
 CONE_DIRECTIONS = 13
+OPAQUE_DEPTH = 1e15  # of cl/stretch.h
 TRANSPARENT = 1e-3  # a march stops where a smaller share of the light is left
 _SECONDS_A_SAMPLE, _BAND_SECONDS = 1e-8, 0.5
 _WORK_GROUP = 64
@@ -124,7 +125,8 @@ def shadow_numbers(resolved: ResolvedScene, padded: tuple[int, int, int]) -> dic
     numbers: dict[str, Any] = {
         "shadow_bound": shadow.bound,
         "shadow_step": shadow_step(resolved),
-        "shadow_depth": -np.log(TRANSPARENT) / slowest,
+        # Noise may leave nothing that attenuates.
+        "shadow_depth": OPAQUE_DEPTH if resolved.attenuation_noise else -np.log(TRANSPARENT) / slowest,
         "scattering": shadow.scattering,
     }
     if shadow_method(resolved) == "volume":

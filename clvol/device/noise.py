@@ -181,7 +181,8 @@ def device_noise(
     noises: Sequence[Noise], grid: Grid, time: float = 0.0, value_gain: float = 1.0
 ) -> tuple[np.ndarray, int, int]:
     """(terms, values, coordinates) for cl/noise.h: TERM_DTYPE [MOST_TERMS], those that change
-    values first, and the number of terms of each kind. Only ``time`` changes them from frame to frame.
+    values first, then those that move places, then those of attenuation, and the number of each of the first two. Only
+    ``time`` changes them from frame to frame.
 
     ``value_gain``: the device's factor on differences of values (``ValueMap.gain``). Terms
     refer to the tiles of ``device_tiles`` for the same noises. SceneError for more than MOST_TERMS.
@@ -197,11 +198,13 @@ def device_noise(
         term["offset"][:3] = _offset(noise, time)
         if noise.target == "value":
             term["value_amplitude"] = noise.amplitude * value_gain
+        elif noise.target == "attenuation":
+            term["value_amplitude"] = noise.amplitude
         else:
             term["amplitude"][:3] = noise.amplitude / np.asarray(grid.spacing)
         term["octaves"], term["first_texel"] = noise.octaves, seeds.index(noise.seed) * TILE**3
     values = sum(noise.target == "value" for noise in noises)
-    return terms, values, len(ordered) - values
+    return terms, values, sum(noise.target == "coordinate" for noise in noises)
 
 
 def device_tiles(noises: Iterable[Noise]) -> np.ndarray:

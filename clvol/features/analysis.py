@@ -49,6 +49,7 @@ NAMES = (
     "environment background",
     "shadows",
     "scattering",
+    "attenuation noise",
     "half-angle slices",
     "isosurfaces",
     "refraction",

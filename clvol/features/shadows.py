@@ -7,6 +7,8 @@ from clvol.features.findings import Findings
 from clvol.scene.light import Light
 from clvol.scene.shadow import Shadow
 
+TINT = "attenuation noise"
+
 
 def analyse(found: Findings) -> None:
     scene = found.scene
@@ -17,15 +19,31 @@ def analyse(found: Findings) -> None:
         reason = idle or ""
         found.note(no("shadows", reason), no("scattering", reason))
         found.change(shadow=None)
+        _note_tint(found, None)
         return
     found.note(yes("shadows", f"{counted(len(casting), 'light')} with shadows"))
     if shadow.scattering == 0:
         found.note(no("scattering", "scattering is 0"))
-    elif shadow.cone_degrees == 0 and not any(shadow.scatter_color):
+    elif shadow.cone_degrees == 0 and not any(shadow.scatter_color) and not found.scene.attenuation_noise:
         found.note(no("scattering", "the cone is 0 and nothing of it is scattered"))
         found.change(shadow=shadow.model_copy(update={"scattering": 0.0}))
     else:
         found.note(yes("scattering", f"scattering is {shadow.scattering:g}"))
+    _note_tint(found, found.scene.shadow)
+
+
+def _note_tint(found: Findings, shadow: Shadow | None) -> None:
+    """Whether noise changes what attenuates scattered light; ``shadow``: of the reduced scene."""
+    noises = tuple(noise for noise in found.scene.attenuation_noise if noise.amplitude != 0)
+    if noises and shadow is not None and shadow.scattering > 0:
+        found.note(yes(TINT, f"noise of amplitude {max(abs(n.amplitude) for n in noises):g} tints scattered light"))
+        found.change(attenuation_noise=noises)
+        return
+    reason = "the scene has no noise of attenuation"
+    if found.scene.attenuation_noise:
+        reason = "no light is scattered" if noises else "the noise's amplitude is 0"
+    found.note(no(TINT, reason))
+    found.change(attenuation_noise=())
 
 
 def casts(light: Light) -> bool:

@@ -1,4 +1,5 @@
-"""[[noise]]: tiling noise that perturbs the value or the position of every sample."""
+"""[[noise]]: tiling noise that perturbs the value or the position of every sample, or what attenuates scattered light.
+"""
 
 from __future__ import annotations
 
@@ -13,23 +14,26 @@ _Speed = Annotated[Number, Field(ge=-1e6, le=1e6)]
 
 
 class Noise(Table):
-    """A noise that tiles, and perturbs values or positions.
+    """A noise that tiles, and perturbs values, positions or the attenuation of scattered light.
 
-    ``amplitude`` is in units of the value, or a world length for the target "coordinate". ``frequency`` is the number
+    ``amplitude`` is in units of the value, or a world length for the target "coordinate". For "attenuation" it is added
+    to the share 1 - ``shadow.scatter_color`` of the extinction that attenuates scattered light, for red, green and blue
+    by a channel of the noise each, and the share stays within 0 and 1: a subtle iridescence (Engel and Ertl 2002,
+    section 10). ``frequency`` is the number
     of tiles along the volume's longest edge. Each of ``octaves`` has twice the frequency and ``gain`` times the
     amplitude of the one before. ``velocity`` is the motion of the noise along x, y and z in tiles per second. Several
     noises add up, and all are evaluated at the unperturbed position. A position that is moved beyond the volume shows
     the volume's face.
     """
 
-    target: Literal["value", "coordinate"] = Field(
-        title="What the noise perturbs: values, or the positions at which they are taken.",
-        description="'value' or 'coordinate'",
+    target: Literal["value", "coordinate", "attenuation"] = Field(
+        title="What the noise perturbs: values, the positions of samples, or the attenuation of scattered light.",
+        description="'value', 'coordinate' or 'attenuation'",
         examples=["value"],
     )
     amplitude: Number = Field(
         ge=-1e30, le=1e30,
-        title="Strength, in units of the value or, for 'coordinate', of world length.",
+        title="Strength, in units of the value or of world length ('coordinate'), or a share ('attenuation').",
         description="a number from -1e30 to 1e30",
         examples=[30.0],
     )

@@ -107,7 +107,8 @@ class ResolvedScene:
     transfer_layers: tuple[TransferLayer, ...] = ()
     glow: Glow | None = None  # the light of associated colours; ``transfer_function`` is then black
     fields: tuple[ResolvedField, ...] = ()
-    noise: tuple[Noise, ...] = ()
+    noise: tuple[Noise, ...] = ()  # of values and coordinates
+    attenuation_noise: tuple[Noise, ...] = ()  # of scattered light
     depth_cue: DepthCue | None = None
     animation: Animation = Animation()
     channels: tuple[ResolvedChannel, ...] = ()  # whose pictures are blended; ``volume`` is that of the first
@@ -239,7 +240,8 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         fields=tuple(fields),
         channels=() if mixes or len(channels) == 1 else channels,
         mixed_channels=len(channels) if mixes else 0,
-        noise=scene.noise,
+        noise=tuple(term for term in scene.noise if term.target != "attenuation"),
+        attenuation_noise=tuple(term for term in scene.noise if term.target == "attenuation"),
         depth_cue=cue,
         animation=scene.animation,
         compression=scene.compression,

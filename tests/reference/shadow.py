@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from clvol.device.noise import noise_tile
 from clvol.volume import Grid
 from reference import classify
 from reference.cell_crossings import medium_crossings
 from reference.clip import kept_stretches
 from reference.field import GridSampler
 from reference.medium import Medium
+from reference.noise import fractal_noise
 from reference.shade import toward
 
 CONE_DIRECTIONS = 13
@@ -27,6 +29,7 @@ class Shadows:
         self.settings = resolved.shadow
         self.lights = resolved.lights
         self.clips = resolved.clips
+        self.noise = resolved.attenuation_noise
         self.medium = medium
         self.isovalues = [s.value for s in resolved.isosurfaces]
         self.opacities = np.array([s.opacity for s in resolved.isosurfaces])
@@ -117,12 +120,21 @@ class Shadows:
         share = direct * np.ones(3)
         if s.scattering > 0:
             scattered = np.zeros_like(at)
-            less = 1.0 - np.asarray(s.scatter_color, float)
+            less = self._attenuation(at, 1.0 - np.asarray(s.scatter_color, float))
             for local in cone_directions(s.cone_degrees):
                 depth = self.optical_depth(at, turned(to_light, local), distance)
                 scattered += np.exp(-depth[:, None] * less) / CONE_DIRECTIONS
             share = (1.0 - s.scattering) * share + s.scattering * scattered
         return GridSampler(share.reshape(nz, ny, nx, 3), grid)
+
+
+    def _attenuation(self, at: np.ndarray, less: np.ndarray) -> np.ndarray:
+        """Shares [n, 3] of the extinction that attenuate scattered light at world positions ``at`` [n, 3]."""
+        shares = np.broadcast_to(less, at.shape).copy()
+        for term in self.noise:
+            tile = noise_tile(term.seed)
+            shares += term.amplitude * fractal_noise(term, tile, self.medium.grid, at, self.medium.time)[:, :3]
+        return np.clip(shares, 0.0, 1.0)
 
 
 def light_grid(grid: Grid, resolution: int) -> Grid:
