@@ -80,6 +80,8 @@ TILES = (
     Tile("heptane-peaks", "Narrow peaks, pre-integrated and shaded",
          "Three shells, each a thirtieth of the range wide: none is missed.",
          "lighting", '[integration] classification = "preintegrated"'),
+    Tile("heptane-peaks", "Light at both ends", "The same, each segment lit at both ends, weighed by where it shows.",
+         "light at both ends", "[material] light_at", ('material.light_at="ends"',)),
     Tile("vismale-surfaces", "Iso-surfaces", "Skin and bone, their insides in other colours, in a "
          "translucent volume.", "isosurfaces", "[[isosurface]]"),
     Tile("teapot-glass", "Refraction", "Glass before a visible studio: rays bend where they cross "

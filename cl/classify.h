@@ -94,12 +94,18 @@ INLINE void composite_steps(Gathered *acc, floatN value, intN steps, int one_ste
 /* Emission and absorption over one step at a point. */
 typedef struct {
   floatN r, g, b, d; /* colour times optical depth, and optical depth */
+#if LIT_AT_ENDS
+  floatN place; /* where along the segment what is seen of it lies on average, 0 .. 1 */
+#endif
 } Emission;
 
 INLINE Emission no_emission(void)
 {
   Emission e;
   e.r = e.g = e.b = e.d = 0.0f;
+#if LIT_AT_ENDS
+  e.place = 0.5f;
+#endif
   return e;
 }
 

@@ -21,7 +21,12 @@ INLINE Emission emission_of_color(SegmentColor s)
 #else
   const floatN depth = lane_min(s.depth, (floatN)OPAQUE_DEPTH);
   const floatN scale = select(depth / select((floatN)1.0f, s.a, MASK(s.a > 0.0f)), (floatN)0.0f, MASK(s.a <= 0.0f));
+#if LIT_AT_ENDS
+  const floatN place = s.place / select((floatN)1.0f, s.a, MASK(s.a > 0.0f));
+  const Emission e = {s.r * scale, s.g * scale, s.b * scale, depth, lane_clamp(place, (floatN)0.0f, (floatN)1.0f)};
+#else
   const Emission e = {s.r * scale, s.g * scale, s.b * scale, depth};
+#endif
 #endif
   return e;
 }

@@ -26,6 +26,9 @@
 typedef struct {
   floatN r, g, b, a; /* premultiplied */
   floatN depth;      /* -log(1 - a), which `a` forgets where it rounds to 1 */
+#if LIT_AT_ENDS
+  floatN place;      /* where along the segment, 0 .. 1, what is seen of it lies on average, times a */
+#endif
 } SegmentColor;
 
 /* -log(q), where q = 1 - a is in 0 .. 1, to float precision also where a is tiny; OPAQUE_DEPTH for q = 0. */

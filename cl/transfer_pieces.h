@@ -122,7 +122,17 @@ INLINE intN piece_of(floatN value, Pieces f)
 /* What a part of a piece emits and absorbs. */
 typedef struct {
   floatN r, g, b, depth; /* not premultiplied */
+#if LIT_AT_ENDS
+  floatN at; /* from where in the part its light comes, 0 .. 1 */
+#endif
 } PiecePart;
+
+/* Notes that the stretches which were appended since `s` had `before` as opacity lie at `x` of the segment. */
+#if LIT_AT_ENDS
+#define NOTE_PLACE(s, before, x) (s).place += ((s).a - (before)) * (x);
+#else
+#define NOTE_PLACE(s, before, x)
+#endif
 
 /* The part of `piece` from w0 to w1 (shares of the piece), which is `units` opacity units long, of the lanes in
  * `active`; others' are undefined, and what they would need is not computed. */
@@ -160,7 +170,11 @@ LOOKED_UP PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units
   const floatN w = w0 + at * (w1 - w0);
   const PiecePart part = {PIECE_ROW(ROW_COLOR) + w * PIECE_ROW(ROW_COLOR_CHANGE),
                           PIECE_ROW(ROW_COLOR + 1) + w * PIECE_ROW(ROW_COLOR_CHANGE + 1),
-                          PIECE_ROW(ROW_COLOR + 2) + w * PIECE_ROW(ROW_COLOR_CHANGE + 2), depth};
+                          PIECE_ROW(ROW_COLOR + 2) + w * PIECE_ROW(ROW_COLOR_CHANGE + 2), depth
+#if LIT_AT_ENDS
+                          , at
+#endif
+  };
 #undef PIECE_ROW
   return part;
 }
@@ -168,9 +182,13 @@ LOOKED_UP PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units
 /* Appends all pieces between `low` and `high` (neither of them) for the lanes in `rises`, and in the reverse order for
  * others: pieces go by upwards, and a lane whose value falls has each before, not behind, what it has. `per`: opacity
  * units per value. */
-INLINE void append_one_by_one(SegmentColor *s, intN low, intN high, intN rises, floatN per, intN active, Pieces f)
+INLINE void append_one_by_one(SegmentColor *s, intN low, intN high, intN rises, floatN per, intN active, Pieces f
+#if LIT_AT_ENDS
+                              , floatN front, floatN inverse_span
+#endif
+)
 {
-  const floatN zero = 0.0f;
+  const floatN zero = 0.0f, one = 1.0f;
   SegmentColor m = {zero, zero, zero, zero, zero};
   low = select((intN)f.count, low, active);
   _Pragma("unroll 1") for (int p = 1; p < f.count - 1; ++p) {
@@ -201,11 +219,19 @@ INLINE void append_one_by_one(SegmentColor *s, intN low, intN high, intN rises, 
     m.g = left * m.g + share * (UNIFORM_ROW(ROW_COLOR + 1) + w * UNIFORM_ROW(ROW_COLOR_CHANGE + 1));
     m.b = left * m.b + share * (UNIFORM_ROW(ROW_COLOR + 2) + w * UNIFORM_ROW(ROW_COLOR_CHANGE + 2));
     m.a = left * m.a + share, m.depth += depth;
+#if LIT_AT_ENDS
+    /* From the segment's front: pieces begin and end at values. */
+    const floatN from = UNIFORM_ROW(ROW_BEGIN), piece_end = UNIFORM_ROW(ROW_END);
+    m.place = left * m.place + share * lane_clamp(fabs(from + w * (piece_end - from) - front) * inverse_span, zero, one);
+#endif
 #undef UNIFORM_ROW
   }
   const floatN left = 1.0f - s->a;
   s->r += left * m.r, s->g += left * m.g, s->b += left * m.b, s->a += left * m.a;
   s->depth += m.depth;
+#if LIT_AT_ENDS
+  s->place += left * m.place;
+#endif
 }
 
 /* Appends all pieces between `low` and `high` (neither of them) at once, in their mean colour, from sums over all
@@ -261,7 +287,9 @@ LOOKED_UP SegmentColor COLOR_BY_PIECES(floatN front, floatN back, floatN units, 
   if (!any_lane(crosses)) {
     if (!any_lane(front_shows)) return s; /* between peaks */
     const PiecePart part = part_of_piece(in_front, w0, w1, units, front_shows, f);
-    return first_stretch(part.r, part.g, part.b, part.depth);
+    s = first_stretch(part.r, part.g, part.b, part.depth);
+    NOTE_PLACE(s, zero, part.at)
+    return s;
   }
   /* Pieces in which nothing shows need not be looked at: most often one end of the segment is in such a piece, and
    * then the part at the other end is found in the same pass as those of rays that stay in one piece. */
@@ -269,6 +297,9 @@ LOOKED_UP SegmentColor COLOR_BY_PIECES(floatN front, floatN back, floatN units, 
   const intN back_shows = crosses & MASK(piece_row(f, ROW_DEPTH, behind) > 0.0f);
   const intN swaps = back_shows & ~front_shows, both = back_shows & front_shows;
   const floatN per = units * lane_reciprocal(lane_max(fabs(back - front), (floatN)1e-30f));
+#if LIT_AT_ENDS
+  const floatN inverse_span = lane_reciprocal(lane_max(fabs(back - front), (floatN)1e-30f));
+#endif
   const floatN leaves_at = select(begin, piece_row(f, ROW_END, in_front), rises);
   const floatN behind_begin = piece_row(f, ROW_BEGIN, behind);
   const floatN enters_at = select(piece_row(f, ROW_END, behind), behind_begin, rises);
@@ -282,14 +313,26 @@ LOOKED_UP SegmentColor COLOR_BY_PIECES(floatN front, floatN back, floatN units, 
     last = part_of_piece(select(in_front, behind, swaps), select(w0, last0, swaps), select(w1, last1, swaps),
                          select(front_units, back_units, swaps), front_shows | swaps, f);
     s = first_stretch(last.r, last.g, last.b, select(zero, last.depth, front_shows));
+    NOTE_PLACE(s, zero, last.at * select(one, fabs(leaves_at - front) * inverse_span, crosses))
   }
   const intN low = select(behind, in_front, rises), high = select(in_front, behind, rises);
   const intN passes = crosses & MASK(high - low > 1);
   if (any_lane(passes)) {
+#if LIT_AT_ENDS
+    /* Of many pieces at once that each are thin: in the middle between the two that the ends are in. */
+    const floatN before = s.a;
+    if (f.in_registers) {
+      append_one_by_one(&s, low, high, rises, per, passes, f, front, inverse_span);
+    } else {
+      append_at_once(&s, low, high, rises, per, passes, f);
+      NOTE_PLACE(s, before, fabs(0.5f * (leaves_at + enters_at) - front) * inverse_span)
+    }
+#else
     if (f.in_registers)
       append_one_by_one(&s, low, high, rises, per, passes, f);
     else
       append_at_once(&s, low, high, rises, per, passes, f);
+#endif
   }
   if (any_lane(back_shows)) {
     if (any_lane(both)) {
@@ -297,8 +340,15 @@ LOOKED_UP SegmentColor COLOR_BY_PIECES(floatN front, floatN back, floatN units, 
       last.r = select(last.r, more.r, both), last.g = select(last.g, more.g, both),
           last.b = select(last.b, more.b, both);
       last.depth = select(last.depth, more.depth, both);
+#if LIT_AT_ENDS
+      last.at = select(last.at, more.at, both);
+#endif
     }
+#if LIT_AT_ENDS
+    const floatN before = s.a, enters = fabs(enters_at - front) * inverse_span;
+#endif
     append_stretch(&s, last.r, last.g, last.b, select(zero, last.depth, back_shows));
+    NOTE_PLACE(s, before, lane_clamp(enters + last.at * (1.0f - enters), zero, one))
   }
   return s;
 }

@@ -32,6 +32,7 @@ def effect_switches(
     surfaces = resolved.isosurfaces
     refracts = any(surface.refraction != 1.0 for surface in surfaces)
     factors = resolved.gradient_opacity is not None or resolved.directional_opacity is not None
+    ends = lit and resolved.material.light_at == "ends"
     curves = resolved.refraction is not None
     decides = factors or has_gradient_layers(resolved)
     switches = {
@@ -52,13 +53,14 @@ def effect_switches(
         **({"TINTED_SCATTERING": 1} if resolved.attenuation_noise else {}),
         **({"GLOW": 1} if resolved.glow is not None else {}),
         **({"CURVED_RAYS": 1} if curves else {}),
+        **({"LIT_AT_ENDS": 1} if ends else {}),
         "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides or curves else 0,
     }
     if not any(switches.values()):
         return {}
     # Opacities of whole segments are enough where no effect cuts segments or changes their extinction.
     changed = decides or surfaces or resolved.fields or resolved.integration.classification == "pre"
-    changed = changed or resolved.glow is not None or curves
+    changed = changed or resolved.glow is not None or curves or ends
     return {
         "EFFECTS": 1,
         "TRANSLUCENT": int(is_translucent(resolved)),

@@ -43,6 +43,7 @@ NAMES = (
     "prefilter",
     "lighting",
     "specular",
+    "light at both ends",
     "spot lights",
     "image lights",
     "environment",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from clvol.errors import SceneError
 from clvol.features.effect import counted, joined, no, yes
 from clvol.features.findings import NOTHING_VISIBLE, Findings, has_background
 from clvol.features.gradients_exist import opacity_meets_gradient
@@ -11,6 +12,7 @@ from clvol.scene.resolve import ResolvedScene
 
 NEUTRAL = Material(ambient=1.0, diffuse=0.0, specular=0.0)  # lit samples keep their colour
 _BLACK = "every light is black or of intensity 0"
+ENDS = "light at both ends"
 AIMED = {"spot": "spot lights", "image": "image lights"}
 
 
@@ -49,6 +51,7 @@ def analyse(found: Findings) -> None:
         environment=kept,
         material=_material(material) if found.lit else NEUTRAL,
     )
+    _note_ends(found, idle)
 
 
 def _shines(light: Light) -> bool:
@@ -105,6 +108,39 @@ def _note_specular(found: Findings, idle: str | None) -> None:
         found.note(no("specular", idle))
     else:
         found.note(yes("specular", f"specular is {found.scene.material.specular:g}"))
+
+
+def _note_ends(found: Findings, idle: str | None) -> None:
+    """Whether segments are lit at both ends."""
+    scene = found.scene
+    reason = idle
+    if scene.material.light_at == "middle" and idle is None:
+        reason = "segments are lit in their middle"
+    elif idle is None and scene.integration.classification != "preintegrated":
+        reason = f"the classification is {scene.integration.classification!r}, whose segments have one value"
+    elif idle is None and not (found.emits or found.adds):
+        reason = "nothing but surfaces is lit"
+    if reason is None:
+        found.note(yes(ENDS, "pre-integrated segments are lit at both ends"))
+        return
+    found.note(no(ENDS, reason))
+    if scene.material.light_at != "middle":
+        found.change(material=scene.material.model_copy(update={"light_at": "middle"}))
+
+
+def check_light_at(resolved: ResolvedScene) -> None:
+    """SceneError for what light at both ends of segments cannot be combined with."""
+    integration = resolved.integration
+    if resolved.material.light_at != "ends" or integration.classification != "preintegrated":
+        return
+    wrong = (
+        ("transfer_layer", "layers", bool(resolved.transfer_layers), "no layers"),
+        ("integration.segments", integration.segments, integration.segments != "pieces", "'pieces'"),
+        ("isosurface", "surfaces", bool(resolved.isosurfaces), "no surfaces, which cut segments"),
+    )
+    for key, got, applies, expected in wrong:
+        if applies:
+            raise SceneError(f"{resolved.origin}: {key}", f"got {got!r} with material.light_at 'ends'", expected)
 
 
 def _note_aimed(found: Findings, lights: tuple[Light, ...], idle: str | None) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from clvol.errors import SceneError
 from clvol.features.compression import check_compression
 from clvol.features.glow import check_glow
+from clvol.features.lighting import check_light_at
 from clvol.features.refraction import check_refraction
 from clvol.features.refuse import check_effects
 from clvol.features.segments import check_segments
@@ -60,6 +61,7 @@ def _check_scene(resolved: ResolvedScene) -> None:
     check_effects(resolved)
     check_glow(resolved)
     check_refraction(resolved)
+    check_light_at(resolved)
     check_segments(resolved)
     check_compression(resolved)
     check_decoding(resolved, integrator)

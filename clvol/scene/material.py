@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import Field
 
 from clvol.scene.table import Fraction, Number, Table
@@ -13,8 +15,9 @@ class Material(Table):
     """Coefficients of the Blinn-Phong model.
 
     ``two_sided``: the normal is turned towards the viewer; otherwise back faces receive ambient light
-    alone. ``fade`` is the gradient magnitude, in value per world length, below which shading
-    fades to the unshaded colour.
+    alone. ``light_at`` "ends" lights pre-integrated segments at both ends and weighs the two by where between them what
+    is seen of the segment lies on average (Lum, Wilson and Ma 2004). ``fade`` is the gradient magnitude, in value per
+    world length, below which shading fades to the unshaded colour.
     """
 
     ambient: Fraction = Field(0.1, title="Share of the colour that is visible without light.", description=_SHARE)
@@ -24,6 +27,11 @@ class Material(Table):
         20.0, ge=1, le=1e4,
         title="Exponent of highlights (Blinn-Phong).",
         description="a number from 1 to 10000",
+    )
+    light_at: Literal["middle", "ends"] = Field(
+        "middle",
+        title="Where pre-integrated segments are lit: in their middle, or at both ends, weighed by where they show.",
+        description="'middle' or 'ends'",
     )
     two_sided: bool = Field(
         True,

@@ -64,7 +64,15 @@ def of_value(function, values: np.ndarray, length: np.ndarray) -> tuple[np.ndarr
 def of_chord(
     function, front: np.ndarray, back: np.ndarray, length: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(mean colour [n, 3], optical depth [n]) of segments whose value runs linearly, front to back.
+    """(mean colour [n, 3], optical depth [n]): see ``placed_chord``."""
+    return placed_chord(function, front, back, length)[:2]
+
+
+def placed_chord(
+    function, front: np.ndarray, back: np.ndarray, length: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(mean colour [n, 3], optical depth [n], mean place [n] of what is seen, 0 to 1) of segments whose value
+    runs linearly, front to back.
 
     The colour is int c tau exp(-int tau) over 1 - exp(-int tau). In a piece between two breaks of
     the function opacity and colour are linear, a to b, and with x = 0 ... 1 along it
@@ -81,20 +89,23 @@ def of_chord(
         x = (breaks - front[:, None]) / np.where(flat, 1.0, span)[:, None]
         cuts = np.sort(np.clip(np.where(flat[:, None], 0.0, x), 0.0, 1.0), axis=1)
     cuts = np.concatenate([np.zeros((n, 1)), cuts, np.ones((n, 1))], axis=1)
-    depth, light = np.zeros(n), np.zeros((n, 3))
+    depth, light, place = np.zeros(n), np.zeros((n, 3)), np.zeros(n)
     for x0, x1 in zip(cuts.T, cuts.T[1:]):
         there = x1 > x0
         x0, x1, at, along = x0[there], x1[there], front[there], span[there]
         units = (x1 - x0) * length[there] / function.function.opacity_unit
         ends = _linear_ends(function, at + x0 * along, at + x1 * along)
-        piece_light, piece_depth = _linear_piece(*ends, units)
+        piece_light, piece_depth, piece_at = _linear_piece(*ends, units)
+        seen = np.exp(-depth[there]) * -np.expm1(-piece_depth)
+        place[there] += seen * (x0 + piece_at * (x1 - x0))
         light[there] += np.exp(-depth[there])[:, None] * piece_light
         depth[there] = np.minimum(depth[there] + piece_depth, OPAQUE)
     opacity = -np.expm1(-depth)
     # Of what is almost transparent the colour is the front's: the quotient has no digits.
     mean = light / np.maximum(opacity, 1e-300)[:, None]
     color = np.where((opacity > 0)[:, None], mean, function.color(front))
-    return np.where(finite[:, None], color, 0.0), np.where(finite, depth, 0.0)
+    place = np.where(opacity > 0, place / np.maximum(opacity, 1e-300), 0.5)
+    return np.where(finite[:, None], color, 0.0), np.where(finite, depth, 0.0), place
 
 
 def _linear_ends(function, start, end):
@@ -112,7 +123,7 @@ def _linear_ends(function, start, end):
 
 
 def _linear_piece(a, b, color_a, color_b, units):
-    """(light [n, 3], optical depth [n]) of pieces of linear opacity and colour."""
+    """(light [n, 3], optical depth [n], mean place [n] of what is seen) of pieces of linear opacity and colour."""
 
     whole = np.minimum(units * _mean_depth(a, b), OPAQUE)
     thin = (whole < 1.0) & (np.maximum(a, b) < 0.9)
@@ -130,7 +141,8 @@ def _linear_piece(a, b, color_a, color_b, units):
             mean_opacity[part] = (width * _WEIGHTS).ravel() @ -np.expm1(-depth)
     opacity = -np.expm1(-whole)
     light = color_b * opacity[:, None] - (color_b - color_a) * mean_opacity[:, None]
-    return light, whole
+    at = np.where(opacity > 0, 1.0 - mean_opacity / np.maximum(opacity, 1e-300), 0.5)
+    return light, whole, at
 
 
 def _mean_depth(a, b):

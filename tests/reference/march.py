@@ -185,15 +185,31 @@ class _March:
         share = np.where(np.any(normal != 0, axis=1), share, 0.0)
         weight = -np.expm1(-segment.depth) * (1.0 - rays.opacity[n])
         color, seen = segment.color.copy(), segment.depth > 0
-        color[seen] = self.shader.lit(
-            color[seen], segment.middle[seen], segment.gradient[seen], rays.direction[n[seen]],
-            weight=weight[seen], cut_normal=normal[seen], cut_share=share[seen],
-        )  # fmt: skip
+        if self.medium.lit_at_ends:
+            color[seen] = self._lit_at_ends(rays, n, seen, t0, t1, color, weight, normal, segment.place)
+        else:
+            color[seen] = self.shader.lit(
+                color[seen], segment.middle[seen], segment.gradient[seen], rays.direction[n[seen]],
+                weight=weight[seen], cut_normal=normal[seen], cut_share=share[seen],
+            )  # fmt: skip
         depth = segment.depth
         if self.medium.glow is not None:  # light without opacity is that of hardly any
             depth = np.maximum(depth, 1e-30)
             color = np.where(seen[:, None], color, 0.0) + segment.light / depth[:, None]
         return self._cued(color, rays.travelled[n] + tm), depth
+
+    def _lit_at_ends(self, rays, n, seen, t0, t1, color, weight, normal, place) -> np.ndarray:
+        """Colours [m, 3] of the segments that are ``seen``, lit at both ends and weighed by their ``place`` between."""
+        enter, ends = rays.kept.enter[n, rays.slot[n]], []
+        for t in (t0, t1):
+            at = rays.at(n, t)[seen]
+            share = np.clip(1.0 - (t - enter) / self.medium.grid.smallest_edge, 0.0, 1.0)
+            share = np.where(np.any(normal != 0, axis=1), share, 0.0)[seen]
+            ends.append(self.shader.lit(
+                color[seen], at, self.medium.gradient(at), rays.direction[n[seen]], weight=weight[seen],
+                cut_normal=normal[seen], cut_share=share,
+            ))  # fmt: skip
+        return ends[0] + place[seen, None] * (ends[1] - ends[0])
 
     def _surface(self, rays, n, t, surface, rising) -> np.ndarray:
         """Composites crossings of the rays ``n`` at ``t``; which of them were bent there.

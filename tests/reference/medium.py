@@ -23,6 +23,7 @@ class Segment:
     depth: np.ndarray
     middle: np.ndarray
     gradient: np.ndarray
+    place: np.ndarray | float = 0.5  # where between their ends what is seen lies on average [n]
     light: np.ndarray | float = 0.0  # of associated colours, emitted by the segment [n, 3]
 
 
@@ -61,6 +62,7 @@ class Medium:
         self.gradient_opacity = resolved.gradient_opacity
         self.directional_opacity = resolved.directional_opacity
         self.glow = resolved.glow
+        self.lit_at_ends = resolved.material.light_at == "ends" and self.classification == "preintegrated"
         self.integrals = None
         if integration.segments == "integral-table":
             self.integrals = IntegralTable(resolved)
@@ -159,7 +161,11 @@ class Medium:
         if self.glow is not None:
             light = self._light(start, middle, end, length, before, curved, steps)
             light = light * self.kept_share(start, end)[:, None]
-        return Segment(color, depth, middle, gradient, light)
+        place: np.ndarray | float = 0.5
+        if self.lit_at_ends:
+            front, back = self._chord(start, end, before, curved, steps)
+            place = classify.placed_chord(self.functions[0], front, back, length)[2]
+        return Segment(color, depth, middle, gradient, place, light)
 
     def _light(self, start, middle, end, length, before, curved, steps) -> np.ndarray:
         """What associated colours emit along the chord of each segment [n, 3]: differences of their integral."""
