@@ -92,6 +92,8 @@ TILES = (
          "boxes, no other light.", "environment", "[environment]"),
     Tile("chest-shadows", "Shadows", "Rays to the light: ribs shade what lies below them.",
          "shadows", '[shadow] method = "rays"'),
+    Tile("cthead-occlusion", "Ambient occlusion", "Sockets and teeth get less of the light from all around.",
+         "ambient occlusion", "[ambient_occlusion]"),
     Tile("heptane-scattering", "Scattering", "Light scatters forward; the smoke's shade glows.",
          "scattering", "[shadow] scattering"),
     Tile("cloud", "Noise and sun", "An ellipsoid that noise stirs and frays, shadows and "
@@ -122,6 +124,8 @@ TILES = (
          "is screened.", "channels", "[[channel]], [integration] blend"),
     Tile("vismale-clipped", "Clipping", "By a box and a sphere; faces of the cut are lit.",
          "clipping", "[[clip]]"),
+    Tile("cthead-star", "Clip by a mesh", "Exact to the facet: a star of triangles, read from a file.",
+         "clipping", '[[clip]] type = "mesh"'),
     Tile("chest-blocks", "Lit, clipped blocks", "A ninth of the voxels' memory, spent on what the box leaves.",
          "clipping", '[integration] method = "multiresolution"'),
     Tile("aneurism-depth", "Depth cueing", "Far vessels fade into the page.",
@@ -134,6 +138,8 @@ TILES = (
          "isosurfaces", '[integration] filter = "linear"'),
     Tile("ellipsoid-catmull-rom", "Catmull-Rom filter", "The same voxels; the slope is continuous.",
          "catmull-rom filter", '[integration] filter = "catmull-rom"'),
+    Tile("ellipsoid-mitchell", "Mitchell-Netravali filter", "A kernel between blurring and ringing.",
+         "mitchell filter", '[integration] filter = "mitchell"'),
 )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+from bench import multiresolution_paper as paper
 from bench import multiresolution_parts as parts
 from bench.multiresolution_large import large, measured_child
 from bench.multiresolution_scenes import BLOCK_SCENES, BlockScene, placed_as_in_bench
@@ -59,7 +60,9 @@ def run(options: Options) -> dict[str, Any] | None:
     return result if any(result[name] for name in PARTS) or result.get("large") else None
 
 
-PARTS = ("stepping", "interblock", "tiles", "budget", "resident", "selection", "change", "host")
+PARTS = (
+    "stepping", "literal", "octree", "interblock", "tiles", "budget", "resident", "selection", "change", "host"
+)  # fmt: skip
 
 
 def there(
@@ -83,8 +86,14 @@ def _cases(
     resident = [*others, *(s for name, s in scenes.items() if name in RESIDENT)]
     cases: dict[str, list[Callable[[], Any]]] = {
         "stepping": [
-            lambda s=scene, r=ratio, g=goal, p=paper: parts.stepping(bench, s, r, p, g)
-            for paper in (True, False) for scene, ratio, goal in ratios
+            lambda s=scene, r=ratio, g=goal, p=as_in_paper: parts.stepping(bench, s, r, p, g)
+            for as_in_paper in (True, False) for scene, ratio, goal in ratios
+        ],
+        "literal": [
+            lambda s=scene, r=ratio: paper.literal(bench, s, r) for scene, ratio in once if scene.name != "chest"
+        ],
+        "octree": [
+            lambda s=scene, r=ratio: paper.octree(bench, s, r) for scene, ratio, _ in ratios if scene.name != "chest"
         ],
         "interblock": [
             lambda s=scene, r=ratio: parts.interblock(bench, s, r)

@@ -75,7 +75,8 @@ def show(result: dict[str, Any]) -> str:
     parts = [
         f"{size} x {size} pixels, step 1; levels: blocks from full resolution to one sample, and"
         " those that nothing is seen of",
-        *_stepping(result["stepping"]), *_interblock(_flat(result["interblock"])),
+        *_stepping(result["stepping"]), *_literal(result.get("literal", [])), *_octree(result.get("octree", [])),
+        *_interblock(_flat(result["interblock"])),
         *_tiles(result["tiles"]), *_budget(result["budget"], result["host"]),
         *_resident(result["resident"]), *_selection(result["selection"], result["change"]),
         *(_large(result["large"]) if result.get("large") else ()),
@@ -119,6 +120,39 @@ def _stepping(rows: list[dict[str, Any]]) -> list[str]:
              " Slices: textures of all voxels, planes at the same step, nothing leapt over.",
              table(head, cells, left=5)]
     return [*lines, *([] if bounded else ["bounded: left out, no block has a bound here"]), ""]
+
+
+def _literal(parts: list[dict[str, Any]]) -> list[str]:
+    cells = [
+        [part["scene"], f"{part['ratio']:g} : 1", r["rule"], f"{r['time']['median']:.3f}", _spread(r["time"]),
+         f"{r['faster']:.2f}", f"{r['samples'] / 1e6:.1f}", f"{r['ssim']:.4f}", f"{r['delta_e']:.2f}"]
+        for part in parts for r in part["rows"]
+    ]  # fmt: skip
+    sizes = [
+        [part["scene"], r["tiles"], f"{r['time']['median']:.3f}", f"{r['share']:.1%}", f"{r['faster']:.2f}",
+         f"{r['ssim']:.4f}", f"{r['delta_e']:.2f}"]
+        for part in parts for r in part["sizes"]
+    ]  # fmt: skip
+    if not cells:
+        return []
+    return ["The paper's rules to the letter beside ours, at the same blocks; likeness to all voxels at the same step.",
+            table(["scene", "bytes", "rules, steps", "s", "spread", "faster", "M samples", "SSIM", "CIEDE2000"],
+                  cells, left=3), "",
+            "Tiles over the paper's \"limited\" for every pixel, by \"max\", Q_H 0.9; likeness to that.",
+            table(["scene", "tiles", "s", "rays", "faster", "SSIM", "CIEDE2000"], sizes), ""]  # fmt: skip
+
+
+def _octree(parts: list[dict[str, Any]]) -> list[str]:
+    cells = [
+        [part["scene"], f"{part['ratio']:g} : 1", name, f"{r['bytes'] / MiB:.2f}", f"{r['error']:.4g}",
+         f"{r['ssim']:.4f}", f"{r['delta_e']:.2f}", " ".join(map(str, r["levels"]))]
+        for part in parts for name, r in part["ways"].items()
+    ]  # fmt: skip
+    if not cells:
+        return []
+    return ["Flat blocks beside an octree's nodes within the same bytes, levels by the transfer function alone.",
+            table(["scene", "bytes", "held as", "MiB", "sum of errors", "SSIM", "CIEDE2000", "blocks by level"],
+                  cells, left=3), ""]  # fmt: skip
 
 
 def _interblock(rows: list[dict[str, Any]]) -> list[str]:

@@ -3,7 +3,7 @@ pyramid_tables.py).
 
 Parts: the paper's tables of samples and seconds; from which cost of a sample on the pyramid is
 faster than the plain ray caster, which leaps over empty space; every oracle; pictures of more and
-more pixels; steps through blocks.
+more pixels; steps through blocks; lit scenes; what the paper claims without figures.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+from bench import pyramid_claims as claims
 from bench import pyramid_parts as parts
 from bench.multiresolution import attempt, there
 from bench.multiresolution_scenes import BlockScene
@@ -30,7 +31,8 @@ EDGE, QUICK_EDGE = 512, 320  # voxels that the aneurism is resampled to
 ANEURISM_GOALS, CHEST_GOALS = {"fewer": 56.0, "faster": 3.4}, {"fewer": 4.7, "faster": 1.8}
 HALF = 0.5  # the distance of rays between slices: what the paper's leaves wrong is then small
 RATIO, QUICK_RATIO = 11.0, 4.0  # of voxels' bytes to those of blocks
-PARTS = ("paper", "crossover", "oracles", "sizes", "blocks")
+PARTS = ("paper", "crossover", "oracles", "sizes", "blocks", "light", "power", "synthesis")
+CLAIMED = (ANEURISM, ENGINE, HEPTANE, FEMALE)
 CROSSOVER = (ANEURISM, ENGINE, HEPTANE, FEMALE)
 ORACLES = (ENGINE, HEPTANE, ANEURISM)
 PICTURES = (ANEURISM, FEMALE)
@@ -79,6 +81,14 @@ def _cases(
         "blocks": [
             lambda s=scene: parts.blocks(bench, s, QUICK_RATIO if quick else RATIO)
             for scene in (HEPTANE, FEMALE) if scene in scenes
+        ],
+        "light": [lambda s=scene: claims.light(bench, s) for scene in (HEPTANE,) if scene in scenes],
+        "power": [
+            lambda s=scene, e=epsilon: claims.power(bench, s, e)
+            for scene in CLAIMED if scene in scenes for epsilon in (0.3, 0.01)
+        ],
+        "synthesis": [
+            lambda s=scene: claims.synthesis(bench, s, (1, 2, 3)) for scene in CLAIMED if scene in scenes
         ],
         "sizes": [lambda: parts.sizes(bench, HEPTANE, sizes) for _ in range(HEPTANE in scenes)],
     }  # fmt: skip

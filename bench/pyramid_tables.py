@@ -6,6 +6,7 @@ from typing import Any
 
 from bench.curves import Reach
 from bench.multiresolution_tables import Verdict
+from bench.pyramid_claims import RMSE_GOAL, WAYS
 from bench.pyramid_parts import CUBIC, DELTA_E_GOAL, SSIM_GOAL, crossing_text
 from bench.pyramid_scenes import LEVELS
 from bench.report import closing, table
@@ -41,6 +42,10 @@ def verdicts(result: dict[str, Any]) -> list[Verdict]:
                 row["overhead"]["ratio"], OVERHEAD_GOAL, True,
             ),
         ]  # fmt: skip
+    found += [
+        Verdict(f"{row['scene']}, lit, RMSE {RMSE_GOAL:g}: times as fast as by rays", row["faster"]["ratio"], 1.0)
+        for row in result.get("light", ()) if row["faster"]
+    ]  # fmt: skip
     return found
 
 
@@ -49,7 +54,9 @@ def show(result: dict[str, Any]) -> str:
     lines = [
         f"{size} x {size} pixels where nothing else is said, pre-integrated, levels {LEVELS}",
         *_paper(result["paper"]), *_crossover(result["crossover"]), *_oracles(result["oracles"]),
-        *_sizes(result["sizes"]), *_blocks(result["blocks"]), *map(str, verdicts(result)), "", *closing(result),
+        *_sizes(result["sizes"]), *_blocks(result["blocks"]), *_light(result.get("light", [])),
+        *_power(result.get("power", [])), *_synthesis(result.get("synthesis", [])),
+        *map(str, verdicts(result)), "", *closing(result),
     ]  # fmt: skip
     return "\n".join(lines)
 
@@ -181,3 +188,40 @@ def _sizes(parts: list[list[dict[str, Any]]]) -> list[str]:
         " slices.",
         table(head, cells), "",
     ]  # fmt: skip
+
+
+def _light(parts: list[dict[str, Any]]) -> list[str]:
+    cells = [[
+        part["scene"] if r is part["rows"][0] else "", r["method"], " ".join(f"{k:g}" for k in r["settings"]),
+        *_time(r["time"]), f"{r['rmse']:.2e}", _millions(r["samples"]), _millions(r["gradients"]),
+    ] for part in parts for r in part["rows"]]  # fmt: skip
+    if not cells:
+        return []
+    head = ["scene", "method", "step, epsilon, levels", "s", "spread", "RMSE", "M samples", "M gradients"]
+    return ["Lit, beside the lit ray caster with short steps.", table(head, cells, left=3), ""]
+
+
+def _power(rows: list[dict[str, Any]]) -> list[str]:
+    cells = [[
+        r["scene"], f"{r['epsilon']:g}", _millions(r["samples"]["minimum"]),
+        *(f"{r['fewer'][way]:.2f}" for way in WAYS), f"{r['exponent']:.2f}", *(f"{r['rmse'][way]:.1e}" for way in WAYS),
+    ] for r in rows]  # fmt: skip
+    if not cells:
+        return []
+    head = ["scene", "epsilon", "M of minimum", "fewer along", "across", "both", "exponent", "RMSE along", "across",
+            "both"]  # fmt: skip
+    return ["Samples with levels along rays alone, across alone, both; exponent: of what both gain over along.",
+            table(head, cells), ""]  # fmt: skip
+
+
+def _synthesis(parts: list[list[dict[str, Any]]]) -> list[str]:
+    cells = [
+        [r["scene"], r["level"], name, f"{way['rmse']:.2e}", f"{way['sharpness']:.2f}", f"{way['kinks']:.2f}"]
+        for part in parts for r in part for name, way in r["ways"].items()
+    ]  # fmt: skip
+    if not cells:
+        return []
+    return ["Pixels synthesised from each 2^level-th ray of a row, beside all rays. Sharpness: mean"
+            " differences of neighbours over theirs; kinks: second differences where bilinear pieces meet"
+            " over those elsewhere.",
+            table(["scene", "level", "synthesis of", "RMSE", "sharpness", "kinks"], cells, left=3), ""]  # fmt: skip

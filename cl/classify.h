@@ -135,6 +135,23 @@ INLINE void filter_taps(FetchedSample s, __constant const View *view, floatN *va
     weight[v] = (v & 1 ? s.fx : 1.0f - s.fx) * (v & 2 ? s.fy : 1.0f - s.fy) * (v & 4 ? s.fz : 1.0f - s.fz);
 }
 
+#elif KERNEL_FILTER
+#define TAPS (KERNEL_TAPS * KERNEL_TAPS * KERNEL_TAPS)
+
+INLINE void filter_taps(FetchedSample s, __constant const View *view, floatN *value, floatN *weight)
+{
+  _Pragma("unroll 1") for (int block = 0; block < TAPS / 8; ++block) {
+    const int z = block / (KERNEL_BLOCKS * KERNEL_BLOCKS), y = block / KERNEL_BLOCKS % KERNEL_BLOCKS;
+    const int x = block % KERNEL_BLOCKS;
+    const Corners c = decode_corners(fetch_corners(s.volume, view, s.x.at[x], s.y.at[y], s.z.at[z]), view);
+    const floatN corner[8] = {c.v000, c.v100, c.v010, c.v110, c.v001, c.v101, c.v011, c.v111};
+    _Pragma("unroll 1") for (int v = 0; v < 8; ++v) {
+      value[8 * block + v] = corner[v];
+      weight[8 * block + v] = s.x.w[2 * x + (v & 1)] * s.y.w[2 * y + (v >> 1 & 1)] * s.z.w[2 * z + (v >> 2)];
+    }
+  }
+}
+
 #else
 #define TAPS 64
 
@@ -169,7 +186,7 @@ INLINE Emission classified_emission_in(FetchedSample s, __constant const View *v
     const Emission voxel = emission_of_value(value[v], units, f);
     e.r += weight[v] * voxel.r, e.g += weight[v] * voxel.g, e.b += weight[v] * voxel.b, e.d += weight[v] * voxel.d;
   }
-#if FILTER == FILTER_CATMULL_ROM
+#if FILTER == FILTER_CATMULL_ROM || KERNEL_FILTER
   /* Negative weights may leave less than no light and no medium. */
   const floatN zero = 0.0f;
   e.r = lane_max(e.r, zero), e.g = lane_max(e.g, zero), e.b = lane_max(e.b, zero), e.d = lane_max(e.d, zero);

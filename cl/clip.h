@@ -1,6 +1,6 @@
-/* Which stretches of a ray are kept: clip planes, boxes and spheres, exactly along the ray.
+/* Which stretches of a ray are kept: clip planes, boxes, spheres and closed meshes, exactly along the ray.
  *
- * A clip keeps or removes a convex set, so that a ray is inside it along one stretch. Each is three items: (kind, -,
+ * A clip but for a mesh (mesh_clip.h) keeps or removes a convex set, so that a ray is inside it along one stretch. Each is three items: (kind, -,
  * -, radius); point or centre or lower corner; normal or upper corner; all local. The first `kept_clips` keep what is
  * inside, the next `removed_clips` remove it. Within a stretch nothing is clipped, and so no sample, segment or shadow
  * knows of it.
@@ -12,6 +12,9 @@
 #include "features.h"
 #include "rays.h"
 #include "scene.h"
+#if MESH_CLIPS
+#include "mesh_clip.h"
+#endif
 
 #define LEAST_CUT 1e-3f /* edges: where less of a ray is cut off, no cut face shows */
 
@@ -75,6 +78,55 @@ INLINE void inside_clip(const Scene *scene, int k, Vectors origin, Vectors direc
   }
 }
 
+/* Moves the start of stretches out of what clips remove. */
+INLINE void leave_holes(const Scene *scene, Vectors origin, Vectors direction, Stretch *s)
+{
+  __constant const Effects *e = scene->effects;
+  Vectors normal;
+  floatN enter, leave;
+  const int holes = e->removed_clips;
+  /* Out of one hole may be into another: each pass leaves at least one for good. */
+  _Pragma("unroll 1") for (int pass = 0; pass < holes; ++pass) {
+    intN moved = 0;
+    _Pragma("unroll 1") for (int k = 0; k < holes; ++k) {
+      inside_clip(scene, e->kept_clips + k, origin, direction, &enter, &leave, &normal);
+      const intN within = MASK(enter <= s->enter) & MASK(s->enter < leave);
+      /* Where the ray leaves a convex set its face looks along the ray, and what is kept lies beyond. */
+      const Vectors at = sum3(origin, scaled3(direction, leave));
+      Vectors outwards;
+      floatN back_enter, back_leave;
+      inside_clip(scene, e->kept_clips + k, at, scaled3(direction, -1.0f), &back_enter, &back_leave, &outwards);
+      s->normal = select3(s->normal, scaled3(outwards, -1.0f), within);
+      s->enter = select(s->enter, leave, within);
+      moved |= within;
+    }
+    if (!any_lane(moved)) break;
+  }
+}
+
+#if MESH_CLIPS
+/* Moves the start of stretches to where every mesh keeps what follows, and finds where the first one no longer does.
+ * Returns the rays that were moved. */
+INLINE intN enter_meshes(const Scene *scene, const MeshRays *ray, Stretch *s, floatN *until)
+{
+  __constant const Effects *e = scene->effects;
+  __global const float4 *item = scene->items + e->first_clip + 3 * (e->kept_clips + e->removed_clips);
+  intN moved = 0;
+  *until = INFINITY;
+  _Pragma("unroll 1") for (int k = 0; k < e->mesh_clips; ++k, item += 3) {
+    const intN there = MASK(s->enter < s->leave);
+    if (!any_lane(there)) break;
+    const MeshAhead ahead = mesh_ahead(scene, (int)item[1].x, (int)item[1].y, ray, s->enter, there);
+    const intN removed = there & (item[0].y != 0.0f ? ~ahead.inside : ahead.inside);
+    s->normal = select3(s->normal, ahead.normal, removed);
+    s->enter = select(s->enter, lane_min(ahead.next, s->leave), removed);
+    *until = lane_min(*until, ahead.next);
+    moved |= removed;
+  }
+  return moved;
+}
+#endif
+
 /* The next stretch of the ray at or after `from` (in steps of `step` edges). */
 INLINE Stretch next_stretch(const Scene *scene, const Rays *ray, floatN from, float step)
 {
@@ -93,23 +145,18 @@ INLINE Stretch next_stretch(const Scene *scene, const Rays *ray, floatN from, fl
     s.enter = select(s.enter, enter, later), s.leave = lane_min(s.leave, leave);
   }
   const int holes = e->removed_clips;
-  /* Out of one hole may be into another: each pass leaves at least one for good. */
-  _Pragma("unroll 1") for (int pass = 0; pass < holes; ++pass) {
-    intN moved = 0;
-    _Pragma("unroll 1") for (int k = 0; k < holes; ++k) {
-      inside_clip(scene, e->kept_clips + k, origin, direction, &enter, &leave, &normal);
-      const intN within = MASK(enter <= s.enter) & MASK(s.enter < leave);
-      /* Where the ray leaves a convex set its face looks along the ray, and what is kept lies beyond. */
-      const Vectors at = sum3(origin, scaled3(direction, leave));
-      Vectors outwards;
-      floatN back_enter, back_leave;
-      inside_clip(scene, e->kept_clips + k, at, scaled3(direction, -1.0f), &back_enter, &back_leave, &outwards);
-      s.normal = select3(s.normal, scaled3(outwards, -1.0f), within);
-      s.enter = select(s.enter, leave, within);
-      moved |= within;
-    }
-    if (!any_lane(moved)) break;
+#if MESH_CLIPS
+  /* Out of a mesh may be into a hole, or another mesh. */
+  const MeshRays of_meshes = mesh_rays(origin, direction);
+  floatN until;
+  for (;;) {
+    leave_holes(scene, origin, direction, &s);
+    if (!any_lane(enter_meshes(scene, &of_meshes, &s, &until))) break;
   }
+  s.leave = lane_min(s.leave, until);
+#else
+  leave_holes(scene, origin, direction, &s);
+#endif
   _Pragma("unroll 1") for (int k = 0; k < holes; ++k) {
     inside_clip(scene, e->kept_clips + k, origin, direction, &enter, &leave, &normal);
     s.leave = select(s.leave, lane_min(s.leave, enter), MASK(leave > enter) & MASK(enter > s.enter));

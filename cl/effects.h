@@ -36,8 +36,10 @@ typedef struct {
   float4 gradient_scale;                     /* of precomputed gradients (gradient.h) */
   float4 cue_color;                          /* of depth cueing: r, g, b */
   float4 light_grid;                         /* x, y, z: points of the light volume per lattice unit */
+  float4 occlusion_grid;                     /* x, y, z: points of the ambient occlusion per lattice unit; its intensity */
   float4 noise_reach;                        /* x, y, z: half an edge, in lattice units */
   int4 light_size;                           /* x, y, z: points of the light volume */
+  int4 occlusion_size;                       /* x, y, z: points of the ambient occlusion */
   Field fields[MOST_FIELDS];
   NoiseTerm noise_terms[MOST_NOISE_TERMS];        /* those that add to values, after them those that move places, and those that tint scattered light */
   int along_axes;         /* whether the lattice is along the local axes */
@@ -56,7 +58,7 @@ typedef struct {
   float shadow_step;      /* edges */
   float shadow_depth;     /* optical depth beyond which no light arrives */
   float scattering;       /* share of the light that is scattered, 0 .. 1 */
-  int light_count, surface_count, kept_clips, removed_clips;
+  int light_count, surface_count, kept_clips, removed_clips, mesh_clips;
   int first_light, first_surface, first_clip;                  /* in `items` */
   int diffuse_map_size, specular_map_size, sky_map_size;       /* nodes per side of the maps of the environment, */
   int diffuse_map, specular_map, sky_map;                      /* and where they begin in `environment` */
@@ -79,7 +81,8 @@ typedef struct {
   STRUCT(Effects), FIELD(Effects, local_x), FIELD(Effects, local_y), FIELD(Effects, local_z), \
   FIELD(Effects, gradient_x), FIELD(Effects, gradient_y), FIELD(Effects, gradient_z), \
   FIELD(Effects, gradient_scale), FIELD(Effects, cue_color), FIELD(Effects, light_grid), \
-  FIELD(Effects, noise_reach), FIELD(Effects, light_size), FIELD(Effects, fields), FIELD(Effects, noise_terms), \
+  FIELD(Effects, occlusion_grid), FIELD(Effects, noise_reach), FIELD(Effects, light_size), \
+  FIELD(Effects, occlusion_size), FIELD(Effects, fields), FIELD(Effects, noise_terms), \
   FIELD(Effects, along_axes), FIELD(Effects, ambient), FIELD(Effects, diffuse), FIELD(Effects, specular), \
   FIELD(Effects, shininess), FIELD(Effects, fade), FIELD(Effects, two_sided), FIELD(Effects, cue_start), \
   FIELD(Effects, cue_per_edge), FIELD(Effects, cue_strength), FIELD(Effects, lowest_value), \
@@ -87,7 +90,7 @@ typedef struct {
   FIELD(Effects, lowest_sample), FIELD(Effects, highest_sample), FIELD(Effects, shadow_bound), \
   FIELD(Effects, shadow_step), FIELD(Effects, shadow_depth), FIELD(Effects, scattering), \
   FIELD(Effects, light_count), FIELD(Effects, surface_count), FIELD(Effects, kept_clips), \
-  FIELD(Effects, removed_clips), FIELD(Effects, first_light), FIELD(Effects, first_surface), \
+  FIELD(Effects, removed_clips), FIELD(Effects, mesh_clips), FIELD(Effects, first_light), FIELD(Effects, first_surface), \
   FIELD(Effects, first_clip), FIELD(Effects, diffuse_map_size), FIELD(Effects, specular_map_size), \
   FIELD(Effects, sky_map_size), FIELD(Effects, diffuse_map), FIELD(Effects, specular_map), \
   FIELD(Effects, sky_map), FIELD(Effects, gradient_opacity_points), FIELD(Effects, directional_opacity_points), \
@@ -145,6 +148,19 @@ INLINE Vectors gradient_to_local(__constant const Effects *e, floatN x, floatN y
   const Vectors r = {e->gradient_x.x * x + e->gradient_x.y * y + e->gradient_x.z * z,
                      e->gradient_y.x * x + e->gradient_y.y * y + e->gradient_y.z * z,
                      e->gradient_z.x * x + e->gradient_z.y * y + e->gradient_z.z * z};
+  return r;
+}
+/* A local direction of unit length in lattice units per edge. What is parallel to an axis' faces but for rounding is
+ * made so: a ray along a face would leave through it. */
+INLINE Vectors direction_to_lattice(__constant const Effects *e, Vectors d)
+{
+  Vectors r = {e->gradient_x.x * d.x + e->gradient_y.x * d.y + e->gradient_z.x * d.z,
+               e->gradient_x.y * d.x + e->gradient_y.y * d.y + e->gradient_z.y * d.z,
+               e->gradient_x.z * d.x + e->gradient_y.z * d.y + e->gradient_z.z * d.z};
+  const floatN still = 1e-7f * lane_max(lane_max(fabs(r.x), fabs(r.y)), fabs(r.z)), zero = 0.0f;
+  r.x = select(r.x, zero, MASK(fabs(r.x) < still));
+  r.y = select(r.y, zero, MASK(fabs(r.y) < still));
+  r.z = select(r.z, zero, MASK(fabs(r.z) < still));
   return r;
 }
 

@@ -10,6 +10,11 @@
 #define FILTER_LINEAR 1
 #define FILTER_CUBIC 2
 #define FILTER_CATMULL_ROM 3
+#define FILTER_MITCHELL 4
+#define FILTER_LANCZOS2 5
+#define FILTER_LANCZOS3 6
+#define FILTER_WINDOWED_SINC 7
+#define FILTER_TABLE 8
 
 /* Switch CLASSIFICATION (classify.h). */
 #define CLASSIFICATION_PRE 0
@@ -61,6 +66,10 @@
 #define SHADOWS_VOLUME 2
 #define SHADOWS_HALF_ANGLE 3
 
+/* Switch AMBIENT_OCCLUSION; 0: none (ambient_occlusion.h). */
+#define DARKENS_AMBIENT 1
+#define DARKENS_ALL 2
+
 /* Bits of the switch OPACITY_FACTORS (opacity_factors.h). */
 #define OPACITY_FACTOR_GRADIENT 1
 #define OPACITY_FACTOR_DIRECTIONAL 2
@@ -96,6 +105,7 @@
 #define CLIP_PLANE 0
 #define CLIP_BOX 1
 #define CLIP_SPHERE 2
+#define CLIP_MESH 3
 
 /* How a block's samples arrive (decode_blocks.cl). */
 #define CODEC_RAW 0
@@ -114,5 +124,6 @@
 #define MOST_NOISE_TERMS 4
 #define MOST_HALVES 16
 #define MOST_LEVELS 5
+#define MOST_FILTER_TERMS 9
 
 #endif

@@ -321,6 +321,17 @@ INLINE Gradient gradient_at(__global const uchar *volume, __global const uint *g
   return g;
 }
 
+#elif GRADIENT == GRADIENT_ANALYTIC && KERNEL_FILTER
+
+INLINE Gradient gradient_at(__global const uchar *volume, __global const uint *gradients, __constant const View *view,
+                            float4 gradient_scale, floatN px, floatN py, floatN pz)
+{
+  const FetchedSample at = fetch_kernel(volume, view, px, py, pz);
+  const KernelSample s = kernel_sample(volume, view, &at.x, &at.y, &at.z, 1);
+  const Gradient g = {s.x, s.y, s.z};
+  return finite_gradient(g);
+}
+
 #else
 
 /* An axis of four voxels: their weights in a mean along it, and in the derivative along it, which add up to 0. */

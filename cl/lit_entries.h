@@ -11,6 +11,10 @@
 #include "scene_value.h"
 #if LIGHTING
 #include "shade.h"
+#include "shown_normal.h"
+#endif
+#if AMBIENT_OCCLUSION
+#include "ambient_occlusion.h"
 #endif
 #if DEPTH_CUE
 #include "depth_cue.h"
@@ -18,8 +22,8 @@
 
 #define TOGETHER 4 /* even */
 
-/* Whether light is simple enough for that: any number of lights, no shadows, no environment. */
-#define STAGED_LIGHT (LIGHTING && LIGHTS && !SHADOWS && !ENVIRONMENT)
+/* Whether light is simple enough for that: any number of lights, no shadows, no environment, no occlusion. */
+#define STAGED_LIGHT (LIGHTING && LIGHTS && !SHADOWS && !ENVIRONMENT && !AMBIENT_OCCLUSION)
 
 /* Between which places along rays, in their steps, gradients need no voxel beyond the volume's faces. What is near the
  * faces is left out: rounding of places does not matter. */
@@ -48,24 +52,6 @@ INLINE InnerSpan inner_span(__constant const View *view, const Rays *ray)
 }
 
 #if LIGHTING
-/* The normal of what the gradient belongs to; at a cut face the face's own, going over to the gradient's within one
- * edge. `inside`: edges from the start of the stretch. */
-INLINE Vectors shown_normal(const Scene *scene, Vectors gradient, Vectors cut_normal, floatN inside)
-{
-  Vectors normal = directed3(gradient, -1.0f);
-#if CLIP
-  inside = lane_clamp(inside, (floatN)0.0f, (floatN)1.0f);
-  const intN cut = MASK(dot3(cut_normal, cut_normal) > 0.5f) & MASK(inside < 1.0f);
-  if (any_lane(cut)) {
-    const intN two_sided = scene->effects->two_sided ? (intN)-1 : (intN)0;
-    const intN behind = two_sided & MASK(dot3(normal, cut_normal) < 0.0f);
-    const Vectors toward = select3(normal, scaled3(normal, -1.0f), behind);
-    normal = select3(normal, unit3(sum3(scaled3(toward, inside), scaled3(cut_normal, 1.0f - inside))), cut);
-  }
-#endif
-  return normal;
-}
-
 /* The gradients of `count` vectors of entries from the k-th on. */
 INLINE void entry_gradients(const Scene *scene, const HeldSegments *held, int k, int count, const Rays *ray,
                             InnerSpan inner, Vectors *gradients)
@@ -256,7 +242,7 @@ INLINE void color_entries(const Scene *scene, HeldSegments *held, const Rays *ra
       const floatN opacity = LOAD_LANES(held->opacity + at);
 #if STAGED_LIGHT
       count_lanes(&counted[COUNT_LIT_SAMPLES], entries[j].lit);
-      color = in_light(scene, color, opacity, gradients[j], entries[j].light, entries[j].lit);
+      color = in_light(scene, color, color, opacity, gradients[j], entries[j].light, entries[j].lit);
 #elif LIGHTING
       const Entries places = entries_at(held, at, ray);
       const Vectors normal = shown_normal(scene, gradients[j], permuted3(cut_normal, places.lane),
@@ -268,6 +254,8 @@ INLINE void color_entries(const Scene *scene, HeldSegments *held, const Rays *ra
 #endif
       color = shaded_color(scene, color, opacity, places_of(places, ray), normal, gradients[j],
                            scaled3(permuted3(forward, places.lane), -1.0f), weight, 0, lit, counted);
+#elif AMBIENT_OCCLUSION
+      color = occluded_color(scene, color, places_of(entries_at(held, at, ray), ray));
 #endif
 #if DEPTH_CUE
       const Entries cued = entries_at(held, at, ray);

@@ -9,6 +9,7 @@
  *   joint_layers.h     emission and extinction from a function of the values of several fields
  *   fields.h           further volumes: labels, densities, masks
  *   shade.h            lights, environment, shadows
+ *   ambient_occlusion.h
  *   glow.h             light of associated colours
  *   depth cueing
  *   surfaces.h         iso-surfaces in the segment, in order with the volume before and behind them
@@ -36,6 +37,9 @@
 #endif
 #if LIGHTING
 #include "shade.h"
+#endif
+#if AMBIENT_OCCLUSION
+#include "ambient_occlusion.h"
 #endif
 #if DEPTH_CUE
 #include "depth_cue.h"
@@ -418,6 +422,9 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
         const floatN weight = (1.0f - acc.a) * segment_opacity(e);
         color = shaded_color(scene, color, e.d, place, normal, gradient, scaled3(forward, -1.0f), weight, 0, lit,
                              counted);
+#elif AMBIENT_OCCLUSION
+        const Vectors place = {xm, ym, zm};
+        color = occluded_color(scene, color, place);
 #endif
 #if GLOW
         color = sum3(color, light);

@@ -61,18 +61,22 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
 #else
     const floatN from = TO_FLOAT(max(i - 2, start));
 #endif
-    const floatN visible_at = next_visible(distances, view, from, span_to, MASK(i <= last), &ray, counted);
-    const floatN finite = lane_clamp(visible_at, (floatN)0.0f, TO_FLOAT(max(last, (intN)0)) + 1.0f);
-    const intN next = TO_INT(MIDPOINTS ? ceil(finite - 0.5f) : finite) - (MIDPOINTS ? 0 : 1);
-    const intN leaps = MASK(i <= last) & MASK(next > i);
-    last = select(last, (intN)DONE, MASK(i <= last) & MASK(visible_at >= ray.length));
-    i = select(i, next, leaps);
+    const Cells cells = cells_at(distances, view, from, &ray);
+    if (any_lane(MASK(i <= last) & (MASK(cells.distance > 0) | MASK(from >= span_to)))) {
+      const intN goes_on = MASK(i <= last);
+      const floatN visible_at = next_visible_from(cells, distances, view, from, span_to, goes_on, &ray, counted);
+      const floatN finite = lane_clamp(visible_at, (floatN)0.0f, TO_FLOAT(max(last, (intN)0)) + 1.0f);
+      const intN next = TO_INT(MIDPOINTS ? ceil(finite - 0.5f) : finite) - (MIDPOINTS ? 0 : 1);
+      const intN leaps = goes_on & MASK(next > i);
+      last = select(last, (intN)DONE, goes_on & MASK(visible_at >= ray.length));
+      i = select(i, next, leaps);
 #if !MIDPOINTS
-    start = select(start, i, leaps);
+      start = select(start, i, leaps);
 #endif
+    }
 #endif
-    /* Not from i, which waits for what the steps before have shown: fetches need not. A ray that is done goes on for
-     * nothing. */
+    /* Where no ray leaps, the next places depend by branches alone on what the steps before have shown. Processors
+     * foresee those, and fetch the next voxels meanwhile. A ray that is done goes on for nothing. */
     const floatN first_t = TO_FLOAT(i) + offset;
     /* First all samples, then what they show: so short a loop has many steps under way at once, and none of them waits
      * for the cache alone. */
@@ -135,19 +139,18 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
       } while (queued);
     }
     taken += AS_UINT(steps);
-    i += steps;
 #else
     UNROLL_LANES for (int step = 0; step < MARCH_STEPS; ++step) {
-      const intN active = MASK(i <= last);
+      const intN place = i + step, active = MASK(place <= last);
       const floatN t = first_t + (float)step;
       taken -= AS_UINT(active);
       const floatN before = acc.a;
       int visible;
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
-      const intN closes = active & MASK(i > start + blind_segments(start)); /* lanes with a segment that ends here */
+      const intN closes = active & MASK(place > start + blind_segments(start)); /* with a segment that ends here */
       const floatN value = values[step];
       floatN front = value1, back = value;
-      shift_ends(value2, &front, &back, 1.0f, closes & MASK(i > start + 1));
+      shift_ends(value2, &front, &back, 1.0f, closes & MASK(place > start + 1));
       value2 = select(value2, value1, active), value1 = select(value1, value, active);
       const intN owned = closes & owns_front(view, &ray, t - 1.0f);
       visible = may_be_visible(lane_min(front, back), lane_max(front, back), owned, view);
@@ -179,13 +182,13 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
 #endif
         last = select(last, (intN)DONE, MASK(acc.a >= view->stop_opacity));
       }
-      i -= active;
     }
 #endif
+    i += MARCH_STEPS;
   }
 
   /* The last piece of each ray, shorter than a step. */
-  intN active = MASK(i == last + 1) & MASK(rest > 0.0f);
+  intN active = MASK(last != DONE) & MASK(rest > 0.0f);
 #if SKIP_EMPTY
   /* Rays shorter than a step have not looked yet. Of bricks, where nothing is visible there may be no voxels, either. */
   intN looks = active & MASK(whole < 1.0f);
@@ -204,8 +207,8 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
     taken -= AS_UINT(active);
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
     front = value1;
-    active &= MASK(i > start + blind_segments(start));
-    shift_ends(value2, &front, &back, rest, active & MASK(i > start + 1));
+    active &= MASK(last + 1 > start + blind_segments(start));
+    shift_ends(value2, &front, &back, rest, active & MASK(last > start));
     if (may_be_visible(lane_min(front, back), lane_max(front, back), active, view))
       composite_segment(&acc, front, back, rest, active, table, view);
 #elif CLASSIFICATION == CLASSIFICATION_POST

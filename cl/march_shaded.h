@@ -159,16 +159,22 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
     if (!any_lane(alive)) break;
 #if SKIP_EMPTY
     {
+      /* Places depend by branches alone on what was shown before, as in march_plain.h. */
+      const floatN t = TO_FLOAT(i);
+      const Cells cells = cells_at(distances, view, t, &ray);
       const intN going = alive & MASK(i <= last);
-      const floatN visible_at = next_visible(distances, view, TO_FLOAT(i), visible_to, going, &ray, counted);
-      /* The curvature of the first visible segment takes the sample before it. */
-      const intN next = TO_INT(lane_clamp(visible_at, (floatN)0.0f, TO_FLOAT(max(last, (intN)0)) + 1.0f)) - NEEDS_ENDS;
-      const intN leaps = going & MASK(next > i);
-      i = select(i, next, leaps);
+      if (any_lane(going & (MASK(cells.distance > 0) | MASK(t >= visible_to)))) {
+        const floatN visible_at = next_visible_from(cells, distances, view, t, visible_to, going, &ray, counted);
+        /* The curvature of the first visible segment takes the sample before it. */
+        const floatN most = TO_FLOAT(max(last, (intN)0)) + 1.0f;
+        const intN next = TO_INT(lane_clamp(visible_at, (floatN)0.0f, most)) - NEEDS_ENDS;
+        const intN leaps = going & MASK(next > i);
+        i = select(i, next, leaps);
 #if NEEDS_ENDS
-      joined &= ~leaps;
+        joined &= ~leaps;
 #endif
-      i = select(i, last + 1, going & MASK(visible_at >= ray.length));
+        i = select(i, last + 1, going & MASK(visible_at >= ray.length));
+      }
     }
 #endif
 #if CONSTANT_CELLS
@@ -336,7 +342,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
       } while (queued);
     }
     taken += AS_UINT(steps);
-    i += steps;
+    i += MARCH_STEPS; /* of rays that go on; for others it does not matter */
   }
 #if ENVIRONMENT_VISIBLE
   show_environment(scene, forward, on_picture, &acc);

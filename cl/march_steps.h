@@ -62,15 +62,19 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
 #else
     const floatN from = TO_FLOAT(i - select((intN)0, before1, MASK(run > 0)) - select((intN)0, before2, MASK(run > 1)));
 #endif
-    const floatN visible_at = next_visible(distances, view, from, span_to, MASK(i <= last), &ray, counted);
-    const floatN finite = lane_clamp(visible_at, (floatN)0.0f, TO_FLOAT(max(last, (intN)0)) + 1.0f);
-    const intN next = TO_INT(MIDPOINTS ? ceil(finite - 0.5f) : finite) - (MIDPOINTS ? 0 : 1);
-    const intN leaps = MASK(i <= last) & MASK(next > i);
-    last = select(last, (intN)DONE, MASK(i <= last) & MASK(visible_at >= ray.length));
-    i = select(i, next, leaps);
-    run = select(run, (intN)0, leaps);
+    const Cells cells = cells_at(distances, view, from, &ray);
+    if (any_lane(MASK(i <= last) & (MASK(cells.distance > 0) | MASK(from >= span_to)))) {
+      const intN goes_on = MASK(i <= last);
+      const floatN visible_at = next_visible_from(cells, distances, view, from, span_to, goes_on, &ray, counted);
+      const floatN finite = lane_clamp(visible_at, (floatN)0.0f, TO_FLOAT(max(last, (intN)0)) + 1.0f);
+      const intN next = TO_INT(MIDPOINTS ? ceil(finite - 0.5f) : finite) - (MIDPOINTS ? 0 : 1);
+      const intN leaps = goes_on & MASK(next > i);
+      last = select(last, (intN)DONE, goes_on & MASK(visible_at >= ray.length));
+      i = select(i, next, leaps);
+      run = select(run, (intN)0, leaps);
+    }
 #endif
-    /* First all samples, then what they show: so short a loop has many steps under way at once, and none of them waits
+    /* Places depend by branches alone on what the steps before have shown, as in march_plain.h. First all samples, then what they show: so short a loop has many steps under way at once, and none of them waits
      * for the cache alone. */
     floatN values[MARCH_STEPS];
     intN counts[MARCH_STEPS], at = i;
@@ -80,9 +84,10 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
       values[step] = sample_value(fetch_along(volume, view, &ray, t), view), counts[step] = n;
       at += n;
     }
+    intN place = i;
     UNROLL_LANES for (int step = 0; step < MARCH_STEPS; ++step) {
-      const intN active = MASK(i <= last), n = counts[step];
-      const floatN t = TO_FLOAT(i), length = TO_FLOAT(n);
+      const intN active = MASK(place <= last), n = counts[step];
+      const floatN t = TO_FLOAT(place), length = TO_FLOAT(n);
       taken -= AS_UINT(active);
       const floatN before = acc.a;
       const floatN value = values[step];
@@ -115,8 +120,9 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
         last = select(last, (intN)DONE, MASK(acc.a >= view->stop_opacity));
       }
       before1 = select(before1, n, active);
-      i = select(i, i + n, active);
+      place += n;
     }
+    i = place;
   }
 
   /* The last piece of each ray, shorter than a step. */

@@ -27,6 +27,12 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
 #if BLOCKS
   const BlockVolume block_samples = BLOCK_VOLUME;
   const Source source = {volume, view, pyramid, map, &block_samples, counted + PYRAMID_COUNTERS - BLOCK_COUNTERS};
+#elif EFFECTS
+  const Scene scene = SCENE;
+#if HELD_LIGHT
+  LightQueue queue;
+  queue.count = queue.segments = 0;
+#endif
 #else
   const Source source = {volume, view, pyramid, map};
 #endif
@@ -49,6 +55,11 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
 #endif
   SHARED Levels *m = &shared;
   PixelPacket packets[PACKETS];
+#if EFFECTS && HELD_LIGHT
+  const Source source = {volume, view, pyramid, map, &scene, &queue, packets};
+#elif EFFECTS
+  const Source source = {volume, view, pyramid, map, &scene};
+#endif
   /* Slices at which all pixels take part, and where chunks begin. */
   const int period = max(CHUNK, 1 << pyramid->levels);
   const int columns_of_tile = levels < LEAST_LEVEL ? 1 : (TILE >> levels) * (TILE >> levels);
@@ -99,9 +110,22 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
     alive = group_any(m, goes_on);
     base = (int)group_min(m, (float)next);
   }
+#if HELD_LIGHT
+  light_queue(&scene, &queue, packets, EFFECT_TALLIES(counted));
+#endif
   if (width > 0)
     for (int q = 0; q < PACKETS; ++q) {
       const int p = q * WORKERS + WORKER;
+#if HELD_LIGHT
+      EACH_LANE(k)
+      {
+        const PixelPacket *done = &packets[q];
+        vstore4((float4)(done->r[k], done->g[k], done->b[k], done->opacity[k]), k, packets[q].rgba);
+      }
+#endif
+#if ENVIRONMENT_VISIBLE
+      show_behind(&source, &packets[q], left + p % PACKETS_IN_ROW * PACKET_W, top + p / PACKETS_IN_ROW * PACKET_H);
+#endif
 #if WITH_DEPTH
       float places[LANES];
       STORE_LANES(half_place(&packets[q].half_, 1.0f, table, view), places);
@@ -141,6 +165,8 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
 
 #if BLOCKS
 #define REPORTED_FIELDS VIEW_FIELDS, PYRAMID_FIELDS, BLOCKS_FIELDS
+#elif EFFECTS
+#define REPORTED_FIELDS VIEW_FIELDS, PYRAMID_FIELDS, EFFECTS_FIELDS
 #else
 #define REPORTED_FIELDS VIEW_FIELDS, PYRAMID_FIELDS
 #endif

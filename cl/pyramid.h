@@ -45,6 +45,9 @@
 #include "view.h"
 #include "struct_fields.h"
 #include "tally.h"
+#if EFFECTS
+#include "scene.h"
+#endif
 #if BLOCKS
 #include "sample_blocks.h"
 #else
@@ -75,6 +78,13 @@ typedef struct {
   FIELD(Pyramid, free_cells), FIELD(Pyramid, cell_shift), FIELD(Pyramid, free_shift), FIELD(Pyramid, levels), \
   FIELD(Pyramid, oversampling), FIELD(Pyramid, half_count), FIELD(Pyramid, ray_spacing), \
   FIELD(Pyramid, spacing_growth), FIELD(Pyramid, gate_low), FIELD(Pyramid, gate_high)
+
+/* Whether segments are queued for light (pyramid_light.h). */
+#if EFFECTS && LANES > 1 && defined(HARDWARE_GATHER) && SEGMENT_OPACITIES
+#define HELD_LIGHT 1
+#else
+#define HELD_LIGHT 0
+#endif
 
 #define CHUNK 8       /* slices */
 #define SLACK 0.5f
@@ -131,6 +141,9 @@ typedef struct {
 #define COUNT_ACCUMULATIONS 2 /* pixels of the picture that a segment was added to */
 #if BLOCKS /* and after them those of block_parameters.h */
 #define PYRAMID_COUNTERS (3 + BLOCK_COUNTERS)
+#elif EFFECTS /* and those of effects.h */
+#define PYRAMID_COUNTERS (3 + EFFECT_COUNTERS)
+#define EFFECT_TALLIES(counted) ((counted) + 3)
 #else
 #define PYRAMID_COUNTERS 3
 #endif
@@ -185,6 +198,13 @@ typedef struct {
 #if BLOCKS
   const BlockVolume *blocks;
   Tally *block_counters;
+#endif
+#if EFFECTS
+  const Scene *scene;
+#if HELD_LIGHT
+  struct LightQueue *queue;    /* of the tile (pyramid_light.h), */
+  struct PixelPacket *packets; /* of these */
+#endif
 #endif
 } Source;
 

@@ -8,24 +8,14 @@
 #include "features.h"
 #include "half_opacity.h"
 #include "pyramid_levels.h"
+#include "pyramid_packet.h"
+#if EFFECTS
+#include "pyramid_light.h"
+#endif
 
 #if CLASSIFICATION != CLASSIFICATION_PREINTEGRATED
 #error "segments of adaptive length are pre-integrated"
 #endif
-
-typedef struct {
-  float x0[LANES], y0[LANES], z0[LANES], dx[LANES], dy[LANES], dz[LANES]; /* rays by slices */
-  float enter[LANES], leave[LANES];
-  float distance[LANES];                                                  /* wanted when it was last looked */
-  /* the last sample and the one before, and their slices */
-  float value1[LANES], value2[LANES], t1[LANES], t2[LANES];
-  int first[LANES], second[LANES];                                        /* no sample yet, or only one */
-  int alive[LANES];
-  float rgba[4 * LANES], opacity[LANES];
-#if WITH_DEPTH
-  HalfOpacity half_; /* in slices */
-#endif
-} PixelPacket;
 
 #if WITH_DEPTH
 #define HALF_OF(packet) (&(packet)->half_)
@@ -38,7 +28,7 @@ int prepare_packet(__constant const View *view, __constant const Pyramid *pyrami
 {
   const intN px = column + (LANE_INDEX & (PACKET_W - 1)), py = row + LANE_INDEX / PACKET_W;
   SliceRays r = slice_rays(view, TO_FLOAT(px), TO_FLOAT(py), 1);
-  clip_to_halves(&r, pyramid);
+  const intN cut = clip_to_halves(&r, pyramid, view->step);
   const intN alive = r.hits & MASK(px < view->image.x) & MASK(py < view->image.y), none = ~(intN)0;
   const floatN zero = 0.0f;
   STORE_LANES(r.x0, p->x0), STORE_LANES(r.y0, p->y0), STORE_LANES(r.z0, p->z0);
@@ -47,10 +37,16 @@ int prepare_packet(__constant const View *view, __constant const Pyramid *pyrami
   STORE_LANES(zero, p->distance), STORE_LANES(zero, p->opacity);
   STORE_LANES(zero, p->value1), STORE_LANES(zero, p->value2), STORE_LANES(zero, p->t1), STORE_LANES(zero, p->t2);
   STORE_LANES(none, p->first), STORE_LANES(none, p->second), STORE_LANES(alive, p->alive);
+#if CUT_FACES
+  STORE_LANES(cut, p->cut);
+#endif
 #if WITH_DEPTH
   p->half_ = no_half();
 #endif
   for (int k = 0; k < 4 * LANES; ++k) p->rgba[k] = 0.0f;
+#if HELD_LIGHT
+  STORE_LANES(zero, p->r), STORE_LANES(zero, p->g), STORE_LANES(zero, p->b);
+#endif
   return any_lane(alive);
 }
 
@@ -141,10 +137,31 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
       floatN front = value1, back = value;
       shift_uneven_ends(value2, &front, &back, select(one, t1 - t2, curved), long_, curved);
       if (may_be_visible(lane_min(front, back), lane_max(front, back), closes, view)) {
+#if HELD_LIGHT
+        if (!shows) acc.r = acc.g = acc.b = 0.0f;
+        acc.a = opacity;
+#else
         if (!shows) gathered_load(&acc, p->rgba);
+#endif
         shows = 1;
+#if EFFECTS
+        SegmentColor color = color_of_segment(front, back, long_ * view->step_units, closes,
+                                              scene_pieces(table, (intN)0, view));
+        const floatN middle = t1 + 0.5f * long_;
+#if HELD_LIGHT
+        queue_lit(in, color, p, middle, &acc, closes, EFFECT_TALLIES(counted));
+#else
+        const floatN depth = light_segment(in->scene, in->pyramid, &color, p, middle, 1.0f - acc.a, closes,
+                                           EFFECT_TALLIES(counted));
+        composite_color(&acc, color, closes);
+#endif
+#else
         composite_segment(&acc, front, back, long_, closes, table, view);
+#endif
         pass_opacity(&acc, opacity, HALF_OF(p), t1, t, front, back);
+#if EFFECTS && HALF_SCALED && WITH_DEPTH
+        note_whole(HALF_OF(p), passes_half(opacity, acc.a), depth, 0.0f);
+#endif
         opacity = acc.a;
         alive &= ~(takes_part & MASK(opacity >= view->stop_opacity));
       }
@@ -158,7 +175,12 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
   STORE_LANES(value1, p->value1), STORE_LANES(value2, p->value2), STORE_LANES(t1, p->t1), STORE_LANES(t2, p->t2);
   STORE_LANES(first, p->first), STORE_LANES(second, p->second), STORE_LANES(alive, p->alive);
   if (shows) {
+#if !HELD_LIGHT
     gathered_store(&acc, p->rgba);
+#elif CONSTANT_CELLS
+    STORE_LANES(LOAD_LANES(p->r) + acc.r, p->r), STORE_LANES(LOAD_LANES(p->g) + acc.g, p->g);
+    STORE_LANES(LOAD_LANES(p->b) + acc.b, p->b);
+#endif
     STORE_LANES(opacity, p->opacity);
   }
   return any_lane(alive);

@@ -48,9 +48,14 @@ INLINE SliceRays slice_rays(__constant const View *view, floatN column, floatN r
   return r;
 }
 
-/* Cuts rays by what clips keep: half-spaces, so that one stretch is left at most. */
-INLINE void clip_to_halves(SliceRays *r, __constant const Pyramid *pyramid)
+#define LEAST_CUT_EDGES 1e-3f /* where less of a ray is cut off, no cut face shows (LEAST_CUT of clip.h) */
+
+/* Cuts rays by what clips keep: half-spaces, so that one stretch is left at most. Returns by which of them each ray
+ * enters what is kept, or -1. */
+INLINE intN clip_to_halves(SliceRays *r, __constant const Pyramid *pyramid, float step)
 {
+  const floatN least = r->enter + LEAST_CUT_EDGES / step;
+  intN cut = -1;
   for (int j = 0; j < pyramid->half_count; ++j) {
     const float4 half_ = pyramid->halves[j];
     const floatN height = r->x0 * half_.x + r->y0 * half_.y + r->z0 * half_.z + half_.w;
@@ -58,11 +63,13 @@ INLINE void clip_to_halves(SliceRays *r, __constant const Pyramid *pyramid)
     const intN parallel = MASK(fabs(rises) < 1e-12f);
     const floatN at = -height / select(rises, (floatN)1.0f, parallel);
     const intN enters = MASK(rises > 0.0f) & ~parallel, leaves = MASK(rises < 0.0f) & ~parallel;
+    cut = select(cut, (intN)j, enters & MASK(at > lane_max(r->enter, least)));
     r->enter = select(r->enter, lane_max(r->enter, at), enters);
     r->leave = select(r->leave, lane_min(r->leave, at), leaves);
     r->hits &= ~(parallel & MASK(height < 0.0f));
   }
   r->hits &= MASK(r->leave > r->enter);
+  return cut;
 }
 
 #endif

@@ -11,7 +11,11 @@
 #include "lanes.h"
 #include "view.h"
 
-#define WIDE_FILTER (FILTER == FILTER_CUBIC || FILTER == FILTER_CATMULL_ROM)
+#define KERNEL_FILTER (FILTER >= FILTER_MITCHELL)
+#define WIDE_FILTER (FILTER == FILTER_CUBIC || FILTER == FILTER_CATMULL_ROM || KERNEL_FILTER)
+#if KERNEL_FILTER
+#include "kernel_filter.h"
+#endif
 
 /* The lower corner of the lattice cell that holds a coordinate: 0 .. size - 2, also at the upper face. */
 INLINE intN cell_index(floatN x, int size) { return min(TO_INT(x), (intN)(size - 2)); }
@@ -138,7 +142,7 @@ INLINE floatN nearest_value(FetchedSample s, __constant const View *view)
   return select(select(v00, v10, fy), select(v01, v11, fy), fz);
 }
 
-#else
+#elif !KERNEL_FILTER
 
 /* Filters of 64 voxels per sample, in the eight blocks of 2^3 that fetch_voxel.h fetches. (Sigg and Hadwiger, GPU Gems
  * 2 ch. 20, read the same blocks of the B-spline by a sampler's trilinear look-ups, whose places take six divisions.
@@ -241,6 +245,10 @@ INLINE floatN cubic_value(FetchedSample s, __constant const View *view)
 #define fetch_sample fetch_nearest
 #define sample_value nearest_value
 #define FETCH_AHEAD 1
+#elif KERNEL_FILTER
+#define fetch_sample fetch_kernel
+#define sample_value kernel_value
+#define FETCH_AHEAD 0
 #elif WIDE_FILTER
 #define fetch_sample fetch_cubic
 #define sample_value cubic_value

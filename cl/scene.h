@@ -46,6 +46,7 @@ typedef struct {
   __global const uint *noise;
   __global const float *factors;
   __global const float *fields;
+  __global const float4 *occlusion;
 #if SLICES
   __constant const HalfAngle *half_angle;
 #endif
@@ -87,10 +88,12 @@ typedef struct {
     __global const uint *restrict gradients, __global const uchar *restrict surface_distances,           \
     __global const uchar *restrict constant_distances,                                                   \
     __global const float4 *restrict environment, __global const float4 *restrict light_volume,           \
-    __global const uint *restrict noise, __global const float *restrict factors, __global const float *restrict fields \
+    __global const uint *restrict noise, __global const float *restrict factors, __global const float *restrict fields, \
+    __global const float4 *restrict occlusion \
     HALF_ANGLE_PARAMETER BLOCK_VARIANT_PARAMETERS
 #define VARIANT \
-  , effects, items, gradients, surface_distances, constant_distances, environment, light_volume, noise, factors, fields \
+  , effects, items, gradients, surface_distances, constant_distances, environment, light_volume, noise, factors, fields, \
+    occlusion \
     HALF_ANGLE_ARGUMENT BLOCK_VARIANT
 #elif BLOCKS
 #define VARIANT_PARAMETERS , BLOCK_PARAMETERS

@@ -31,6 +31,9 @@
 #if SHADOWS
 #include "shadow.h"
 #endif
+#if AMBIENT_OCCLUSION
+#include "ambient_occlusion.h"
+#endif
 
 /* Factors of colour and what is added to it: lit = c * diffuse + specular. */
 typedef struct {
@@ -50,12 +53,18 @@ INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal
   normal = select3(normal, scaled3(normal, -1.0f), turned);
   facing = select(facing, -facing, turned);
   const intN lightable = active & MASK(facing >= 0.0f); /* a back face gets no light but the ambient one */
+#if AMBIENT_OCCLUSION
+  const Vectors open = on_surface ? beyond_surface(e, place, normal, e->occlusion_grid) : place;
+  const floatN seen = ambient_share_on(scene, ambient_light(scene, open), normal);
+  lit.diffuse.x = lit.diffuse.y = lit.diffuse.z = e->ambient * (AMBIENT_OCCLUSION == DARKENS_AMBIENT ? seen : 1.0f);
+#else
   lit.diffuse.x = lit.diffuse.y = lit.diffuse.z = e->ambient;
+#endif
   lit.specular.x = lit.specular.y = lit.specular.z = 0.0f;
 #if LIGHTS
   const Vectors lit_place = place;
 #if SHADOWS == SHADOWS_VOLUME && ISOSURFACES
-  if (on_surface) place = beyond_surface(scene, place, normal);
+  if (on_surface) place = beyond_surface(e, place, normal, e->light_grid);
 #endif
   _Pragma("unroll 1") for (int k = 0; k < e->light_count; ++k) {
     const int item = e->first_light + LIGHT_ROWS * k;
@@ -100,6 +109,9 @@ INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal
   environment_look_up(scene->environment + e->diffuse_map, e->diffuse_map_size, normal.x, normal.y, normal.z,
                       &from_all.x, &from_all.y,
                       &from_all.z);
+#if AMBIENT_OCCLUSION == DARKENS_AMBIENT
+  from_all = scaled3(from_all, seen);
+#endif
   lit.diffuse = sum3(lit.diffuse, scaled3(from_all, e->diffuse));
 #if SPECULAR
   const floatN twice = 2.0f * facing;
@@ -109,31 +121,39 @@ INLINE Illumination illuminate(const Scene *scene, Vectors place, Vectors normal
   lit.specular = sum3(lit.specular, scaled3(from_all, e->specular));
 #endif
 #endif
+#if AMBIENT_OCCLUSION == DARKENS_ALL
+  lit.diffuse = scaled3(lit.diffuse, seen), lit.specular = scaled3(lit.specular, seen);
+#endif
   return lit;
 }
 
 /* c (times `depth`) in this light, where there is a normal; fading to the unlit colour where the gradient is short. */
-INLINE Vectors in_light(const Scene *scene, Vectors color, floatN depth, Vectors gradient, Illumination lit,
-                        intN active)
+INLINE Vectors in_light(const Scene *scene, Vectors color, Vectors unlit, floatN depth, Vectors gradient,
+                        Illumination lit, intN active)
 {
   Vectors shaded = {color.x * lit.diffuse.x + depth * lit.specular.x, color.y * lit.diffuse.y + depth * lit.specular.y,
                     color.z * lit.diffuse.z + depth * lit.specular.z};
   if (scene->effects->fade > 0.0f) {
     const floatN share = lane_min(sqrt(dot3(gradient, gradient)) * scene->effects->fade, (floatN)1.0f);
-    shaded.x = color.x + share * (shaded.x - color.x), shaded.y = color.y + share * (shaded.y - color.y);
-    shaded.z = color.z + share * (shaded.z - color.z);
+    shaded.x = unlit.x + share * (shaded.x - unlit.x), shaded.y = unlit.y + share * (shaded.y - unlit.y);
+    shaded.z = unlit.z + share * (shaded.z - unlit.z);
   }
-  return select3(color, shaded, active);
+  return select3(unlit, shaded, active);
 }
 
 /* The same, and finds the light. */
 INLINE Vectors shaded_color(const Scene *scene, Vectors color, floatN depth, Vectors place, Vectors normal,
                             Vectors gradient, Vectors view, floatN weight, int on_surface, intN active, Tally *counted)
 {
-  if (!any_lane(active)) return color;
+#if AMBIENT_OCCLUSION
+  const Vectors unlit = occluded_color(scene, color, place);
+#else
+  const Vectors unlit = color;
+#endif
+  if (!any_lane(active)) return unlit;
   count_lanes(&counted[COUNT_LIT_SAMPLES], active);
   const Illumination lit = illuminate(scene, place, normal, view, weight, on_surface, active, counted);
-  return in_light(scene, color, depth, gradient, lit, active);
+  return in_light(scene, color, unlit, depth, gradient, lit, active);
 }
 
 #endif

@@ -32,6 +32,7 @@
 #include "clip.h"
 #include "emission.h"
 #include "half_opacity.h"
+#include "light_cells.h"
 #include "opacity.h"
 #include "rays.h"
 #include "scene.h"
@@ -63,19 +64,32 @@
 #define SHADOW_STEPS 8
 #endif
 
-/* A local direction of unit length in lattice units per edge. What is parallel to an axis' faces but for rounding is
- * made so: a ray along a face would leave through it. */
-INLINE Vectors direction_to_lattice(__constant const Effects *e, Vectors d)
+#ifndef FADES_WITH_DISTANCE
+#define FADES_WITH_DISTANCE 0
+#endif
+/* Transmittance of rays whose matter counts the less the farther away it is (ambient_occlusion.h); shadow rays have
+ * none of it. */
+#if FADES_WITH_DISTANCE
+typedef struct {
+  floatN left, taken;    /* transmittance so far, and what of its fall counts */
+  floatN left_near;      /* transmittance within `near` */
+  float per_edge, near;  /* 1 / the edges within which matter counts */
+} Fading;
+#define FADING_PARAMETER , Fading *fading
+#define FADING_ARGUMENT , fading
+
+/* `depth` more at `at` edges from the ray's start. */
+INLINE void fade_depth(Fading *fading, floatN depth, floatN at, intN active)
 {
-  Vectors r = {e->gradient_x.x * d.x + e->gradient_y.x * d.y + e->gradient_z.x * d.z,
-               e->gradient_x.y * d.x + e->gradient_y.y * d.y + e->gradient_z.y * d.z,
-               e->gradient_x.z * d.x + e->gradient_y.z * d.y + e->gradient_z.z * d.z};
-  const floatN still = 1e-7f * lane_max(lane_max(fabs(r.x), fabs(r.y)), fabs(r.z)), zero = 0.0f;
-  r.x = select(r.x, zero, MASK(fabs(r.x) < still));
-  r.y = select(r.y, zero, MASK(fabs(r.y) < still));
-  r.z = select(r.z, zero, MASK(fabs(r.z) < still));
-  return r;
+  const floatN fall = select((floatN)0.0f, fading->left * opacity_of_depth(depth), active);
+  fading->taken += fall * lane_max(1.0f - at * fading->per_edge, (floatN)0.0f);
+  fading->left -= fall;
+  fading->left_near -= select((floatN)0.0f, fall, MASK(at < fading->near));
 }
+#else
+#define FADING_PARAMETER
+#define FADING_ARGUMENT
+#endif
 
 /* From `place` (lattice) along `direction` (local) to where it leaves the volume, `reach` edges at most; lanes not in
  * `rays` go nowhere. */
@@ -179,33 +193,35 @@ INLINE floatN extinction_along(const Scene *scene, const Rays *ray, floatN t0, f
 }
 
 #if ISOSURFACES
-/* `depth` and that of the surfaces that the rays meet from `apart` edges on: where the eye's rays would
+/* `depth` and that of the surfaces that the rays of a walk (in edges) meet up to `until`: where the eye's rays would
  * (surface_walk.h). */
-INLINE floatN depth_of_surfaces(const Scene *scene, const Rays *ray, floatN depth, float apart, intN rays,
-                                Tally *counted)
+INLINE floatN depth_of_surfaces(const Scene *scene, SurfaceWalk *walk, floatN depth, floatN until,
+                                intN rays FADING_PARAMETER, Tally *counted)
 {
-  const Rays in_edges = rays_in_steps(*ray, 1.0f / scene->effects->shadow_step);
-  SurfaceWalk walk = walk_along(in_edges, lane_min((floatN)apart, 0.5f * in_edges.length));
   Tally cells = 0;
   for (;;) {
     const intN wanted = rays & MASK(depth < scene->effects->shadow_depth);
-    find_surfaces(scene, &walk, wanted, (floatN)INFINITY, &counted[COUNT_SHADOW_SAMPLES], &cells);
-    intN meets = wanted & walk.found;
+    find_surfaces(scene, walk, wanted, until, &counted[COUNT_SHADOW_SAMPLES], &cells);
+    intN meets = wanted & walk->found & MASK(walk->at <= until);
     if (!any_lane(meets)) return depth;
-    walk.found &= ~meets;
+    walk->found &= ~meets;
 #if FIELDS & FIELD_MASK
-    const Vectors at = surface_place(&walk);
+    const Vectors at = surface_place(walk);
     meets = mask_keeps(scene, at.x, at.y, at.z, meets, counted);
 #endif
-    const intN surface = scene->effects->first_surface + 3 * walk.surface;
-    depth += select((floatN)0.0f, AS_FLOAT(gather4(scene->items, 4 * surface + 3)), meets);
+    const intN surface = scene->effects->first_surface + 3 * walk->surface;
+    const floatN added = select((floatN)0.0f, AS_FLOAT(gather4(scene->items, 4 * surface + 3)), meets);
+#if FADES_WITH_DISTANCE
+    fade_depth(fading, added, walk->ray.entry_depth + walk->at, meets);
+#endif
+    depth += added;
   }
 }
 #endif
 
 /* `depth` and what one kept stretch of the rays adds. Surfaces count from `apart` edges on. */
-INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction, floatN depth, float apart, intN rays,
-                          Tally *counted)
+INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction, floatN depth, float apart,
+                          intN rays FADING_PARAMETER, Tally *counted)
 {
   const float h = scene->effects->shadow_step, enough = scene->effects->shadow_depth;
   const floatN segments = select((floatN)0.0f, ceil(ray->length), rays & MASK(ray->length > 0.0f));
@@ -216,7 +232,11 @@ INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction
   floatN value1 = 0.0f, value2 = 0.0f;
 #endif
 #if ISOSURFACES
-  depth = depth_of_surfaces(scene, ray, depth, apart, MASK(i <= last), counted);
+  const Rays in_edges = rays_in_steps(*ray, 1.0f / h);
+  SurfaceWalk walk = walk_along(in_edges, lane_min((floatN)apart, 0.5f * in_edges.length));
+#if !FADES_WITH_DISTANCE /* the order does not matter */
+  depth = depth_of_surfaces(scene, &walk, depth, (floatN)INFINITY, MASK(i <= last), counted);
+#endif
 #endif
   for (;;) {
     const intN going = MASK(i <= last) & MASK(depth < enough);
@@ -269,7 +289,16 @@ INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction
       const SegmentValues v = {value, value};
 #endif
       count_lanes(&counted[COUNT_SHADOW_SAMPLES], active);
+#if FADES_WITH_DISTANCE
+      const floatN added = h * length * extinction_along(scene, ray, t0, t0 + length, v, direction, active, counted);
+#if ISOSURFACES
+      depth = depth_of_surfaces(scene, &walk, depth, h * (t0 + length), active, fading, counted);
+#endif
+      fade_depth(fading, added, ray->entry_depth + h * (t0 + 0.5f * length), active);
+      depth += added;
+#else
       depth += h * length * extinction_along(scene, ray, t0, t0 + length, v, direction, active, counted);
+#endif
       i -= active;
     }
   }
@@ -277,11 +306,11 @@ INLINE floatN depth_along(const Scene *scene, const Rays *ray, Vectors direction
 }
 
 /* Optical depth from `place` (lattice) along `direction` (local, of unit length), `reach` edges at most. */
-INLINE floatN depth_towards(const Scene *scene, Vectors place, Vectors direction, floatN reach, intN rays,
-                            Tally *counted)
+INLINE floatN depth_towards(const Scene *scene, Vectors place, Vectors direction, floatN reach,
+                            intN rays FADING_PARAMETER, Tally *counted)
 {
   const Rays whole = rays_towards(scene, place, direction, reach, rays);
-  const float apart = SURFACE_OFFSET;
+  const float apart = FADES_WITH_DISTANCE ? 0.0f : SURFACE_OFFSET; /* those begin on no surface */
   count_lanes(&counted[COUNT_SHADOW_RAYS], rays);
 #if CLIP
   floatN depth = 0.0f, next_from = 0.0f;
@@ -292,13 +321,15 @@ INLINE floatN depth_towards(const Scene *scene, Vectors place, Vectors direction
     if (!any_lane(open)) return depth;
     const Rays ray = ray_along(&whole, kept.enter, kept.leave, open, scene->effects->shadow_step);
     next_from = select(next_from, kept.leave, open);
-    depth = depth_along(scene, &ray, direction, depth, stretch ? 0.0f : apart, open, counted);
+    depth = depth_along(scene, &ray, direction, depth, stretch ? 0.0f : apart, open FADING_ARGUMENT, counted);
     open &= MASK(depth < scene->effects->shadow_depth);
   }
 #else
-  return depth_along(scene, &whole, direction, (floatN)0.0f, apart, rays, counted);
+  return depth_along(scene, &whole, direction, (floatN)0.0f, apart, rays FADING_ARGUMENT, counted);
 #endif
 }
+
+#if !FADES_WITH_DISTANCE
 
 /* How far it is to a light, in edges, from a local place. */
 INLINE floatN distance_to_light(float4 light, Vectors here)
@@ -307,43 +338,6 @@ INLINE floatN distance_to_light(float4 light, Vectors here)
   const Vectors way = {light.x - here.x, light.y - here.y, light.z - here.z};
   return sqrt(dot3(way, way));
 }
-
-#if SHADOWS == SHADOWS_VOLUME
-
-INLINE floatN light_edge(__global const float *volume, intN at, floatN f)
-{
-  const floatN a = AS_FLOAT(gather4(volume, at)), b = AS_FLOAT(gather4(volume + LIGHT_CHANNELS, at));
-  return a + f * (b - a);
-}
-
-/* One channel, between the eight points of the light cell whose first one is `at`. */
-INLINE floatN light_between(__global const float *volume, intN at, int row, int slice, floatN fx, floatN fy, floatN fz)
-{
-  const floatN near_low = light_edge(volume, at, fx), near_high = light_edge(volume, at + row, fx);
-  const floatN far_low = light_edge(volume, at + slice, fx), far_high = light_edge(volume, at + slice + row, fx);
-  const floatN near = near_low + fy * (near_high - near_low), far = far_low + fy * (far_high - far_low);
-  return near + fz * (far - near);
-}
-
-#endif
-
-#if SHADOWS == SHADOWS_VOLUME && ISOSURFACES
-/* How far one edge of a light cell goes along `normal`: (x, y, z) is a lattice unit in local space. */
-INLINE floatN light_cell_along(Vectors normal, float x, float y, float z, float points)
-{
-  return fabs(normal.x * x + normal.y * y + normal.z * z) * (1.0f / points);
-}
-
-/* The place next to one on a plane surface whose light cell is wholly on the side that the normal (local) points to. */
-INLINE Vectors beyond_surface(const Scene *scene, Vectors place, Vectors normal)
-{
-  __constant const Effects *e = scene->effects;
-  const floatN across = light_cell_along(normal, e->local_x.x, e->local_y.x, e->local_z.x, e->light_grid.x) +
-                        light_cell_along(normal, e->local_x.y, e->local_y.y, e->local_z.y, e->light_grid.y) +
-                        light_cell_along(normal, e->local_x.z, e->local_y.z, e->local_z.z, e->light_grid.z);
-  return sum3(place, scaled3(direction_to_lattice(e, normal), across));
-}
-#endif
 
 /* The share of a light, colour by colour, that arrives at `place` (lattice). towards: unit vector to the light
  * (local). light: its first item. index: its number in the light volume. weight: what the sample counts for in the
@@ -355,20 +349,12 @@ INLINE Vectors light_that_arrives(const Scene *scene, Vectors place, Vectors tow
   __constant const Effects *e = scene->effects;
   Vectors share;
 #if SHADOWS == SHADOWS_VOLUME
-  const int4 size = e->light_size;
-  const int row = LIGHT_CHANNELS * size.x, slice = row * size.y;
-  const floatN zero = 0.0f;
-  const floatN x = lane_clamp(place.x * e->light_grid.x, zero, (floatN)(float)(size.x - 1));
-  const floatN y = lane_clamp(place.y * e->light_grid.y, zero, (floatN)(float)(size.y - 1));
-  const floatN z = lane_clamp(place.z * e->light_grid.z, zero, (floatN)(float)(size.z - 1));
-  const intN ix = cell_index(x, size.x), iy = cell_index(y, size.y), iz = cell_index(z, size.z);
-  const floatN fx = x - TO_FLOAT(ix), fy = y - TO_FLOAT(iy), fz = z - TO_FLOAT(iz);
-  const intN at = LIGHT_CHANNELS * ix + row * iy + slice * iz;
-  __global const float *volume = (__global const float *)scene->light_volume + (size_t)index * slice * size.z;
-  share.x = light_between(volume, at, row, slice, fx, fy, fz);
+  const LightCell c = light_cell(place.x, place.y, place.z, e->light_grid, e->light_size, LIGHT_CHANNELS);
+  __global const float *volume = (__global const float *)scene->light_volume + (size_t)index * c.slice * e->light_size.z;
+  share.x = light_between(volume, c, LIGHT_CHANNELS);
 #if SCATTERING
-  share.y = light_between(volume + 1, at, row, slice, fx, fy, fz);
-  share.z = light_between(volume + 2, at, row, slice, fx, fy, fz);
+  share.y = light_between(volume + 1, c, LIGHT_CHANNELS);
+  share.z = light_between(volume + 2, c, LIGHT_CHANNELS);
 #else
   share.y = share.z = share.x;
 #endif
@@ -386,5 +372,7 @@ INLINE Vectors light_that_arrives(const Scene *scene, Vectors place, Vectors tow
 #endif
   return share;
 }
+
+#endif
 
 #endif

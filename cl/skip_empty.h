@@ -39,33 +39,47 @@
 
 INLINE intN cell_of(floatN place, int shift, intN last) { return min(max(TO_INT(place) >> shift, (intN)0), last); }
 
-/* For each ray at parameter t (in steps): t itself where its cell is visible, else where it first enters a visible
- * cell (a little before), or infinity if it never does before `end`. All rays of the packet leap together. */
-INLINE floatN next_visible(__global const uchar *distances, __constant const View *view, floatN t, floatN end,
-                           intN active, const Rays *ray, Tally *counted)
+/* The cells that rays are in at parameter t (in steps), and the distances that the maps of their octants have there. */
+typedef struct {
+  intN x, y, z, distance;
+} Cells;
+
+INLINE Cells cells_at(__global const uchar *distances, __constant const View *view, floatN t, const Rays *ray)
 {
+  Cells at;
   const int shift = view->cell_shift, slice = view->cells.x * view->cells.y;
-  const intN zero = 0, last_x = view->cells.x - 1, last_y = view->cells.y - 1, last_z = view->cells.z - 1;
-  const floatN x0 = AMONG_CELLS(ray->x0), y0 = AMONG_CELLS(ray->y0), z0 = AMONG_CELLS(ray->z0);
   const intN right = MASK(ray->dx > 0.0f), down = MASK(ray->dy > 0.0f), away = MASK(ray->dz > 0.0f);
-  /* In either map the cube ends at the same faces ahead. */
   __global const uchar *maps = distances + view->octant_cells;
   const intN own = ((right & 1) | (down & 2) | (away & 4)) * view->octant_cells;
+  /* Clamped as whole numbers, which takes a quarter of the time: each leap waits for the one before. */
+  at.x = cell_of(AMONG_CELLS(ray->x0) + t * ray->dx, shift, view->cells.x - 1);
+  at.y = cell_of(AMONG_CELLS(ray->y0) + t * ray->dy, shift, view->cells.y - 1);
+  at.z = cell_of(AMONG_CELLS(ray->z0) + t * ray->dz, shift, view->cells.z - 1);
+  at.distance = AS_INT(gather1(maps, own + (at.z * slice + (at.y * view->cells.x + at.x))) & 255u);
+  return at;
+}
+
+/* For each ray at parameter t (in steps), in the cells `at`: t itself where its cell is visible, else where it first
+ * enters a visible cell (a little before), or infinity if it never does before `end`. All rays of the packet leap
+ * together. */
+INLINE floatN next_visible_from(Cells at, __global const uchar *distances, __constant const View *view, floatN t,
+                                floatN end, intN active, const Rays *ray, Tally *counted)
+{
+  const int shift = view->cell_shift;
+  const floatN x0 = AMONG_CELLS(ray->x0), y0 = AMONG_CELLS(ray->y0), z0 = AMONG_CELLS(ray->z0);
+  const intN right = MASK(ray->dx > 0.0f), down = MASK(ray->dy > 0.0f), away = MASK(ray->dz > 0.0f);
   const floatN fastest = lane_max(lane_max(fabs(ray->dx), fabs(ray->dy)), fabs(ray->dz));
   const floatN least_margin = FACE_MARGIN(view) / lane_max(fastest, (floatN)1e-12f);
   floatN entered = select(t, (floatN)INFINITY, active & MASK(t >= end));
   active &= MASK(t < end);
   while (any_lane(active)) {
     COUNT_LEAP(counted, active)
-    /* Clamped as whole numbers, which takes a quarter of the time: each leap waits for the one before. */
-    const intN cx = cell_of(x0 + t * ray->dx, shift, last_x), cy = cell_of(y0 + t * ray->dy, shift, last_y);
-    const intN cz = cell_of(z0 + t * ray->dz, shift, last_z);
-    const intN D = AS_INT(gather1(maps, own + (cz * slice + (cy * view->cells.x + cx))) & 255u);
-    active &= MASK(D > zero);
+    active &= MASK(at.distance > 0);
     if (!any_lane(active)) break;
-    const intN fx = select(cx - D + 1, cx + D, right) << shift;
-    const intN fy = select(cy - D + 1, cy + D, down) << shift;
-    const intN fz = select(cz - D + 1, cz + D, away) << shift;
+    /* In either map the cube ends at the same faces ahead. */
+    const intN fx = select(at.x - at.distance + 1, at.x + at.distance, right) << shift;
+    const intN fy = select(at.y - at.distance + 1, at.y + at.distance, down) << shift;
+    const intN fz = select(at.z - at.distance + 1, at.z + at.distance, away) << shift;
     const floatN leave = lane_min(lane_min((TO_FLOAT(fx) - x0) * ray->rx + ray->px,
                                            (TO_FLOAT(fy) - y0) * ray->ry + ray->py),
                                   (TO_FLOAT(fz) - z0) * ray->rz + ray->pz);
@@ -74,8 +88,17 @@ INLINE floatN next_visible(__global const uchar *distances, __constant const Vie
     t = select(t, face + margin, active);
     entered = select(entered, (floatN)INFINITY, active & MASK(t >= end));
     active &= MASK(t < end);
+    if (!any_lane(active)) break;
+    at = cells_at(distances, view, t, ray);
   }
   return entered;
+}
+
+/* As next_visible_from, of rays whose cells have not been looked up. */
+INLINE floatN next_visible(__global const uchar *distances, __constant const View *view, floatN t, floatN end,
+                           intN active, const Rays *ray, Tally *counted)
+{
+  return next_visible_from(cells_at(distances, view, t, ray), distances, view, t, end, active, ray, counted);
 }
 
 #endif

@@ -7,7 +7,7 @@
  *   cell_cubic.h    linear filter: a cubic
  *   cell_spline.h   filters of 64 voxels: a polynomial of degree 9
  *   cell_step.h     nearest filter: a jump where the ray enters
- *   cell_sampled.h  noise: samples
+ *   cell_sampled.h  noise, and kernels that are no spline (kernel_filter.h): samples
  * A place is above a surface where its value is at least the iso-value; a ray meets the surface where it changes
  * sides. The value on a face is the same for both cells, so that a surface in a face is met once.
  */
@@ -20,7 +20,9 @@
 #include "surface_levels.h"
 #include "tally.h"
 
-#if NOISE
+/* Cells are sampled. */
+#define SAMPLED_CELLS (NOISE || KERNEL_FILTER)
+#if SAMPLED_CELLS
 #include "cell_sampled.h"
 #elif FILTER == FILTER_LINEAR
 #include "cell_cubic.h"
@@ -31,11 +33,11 @@
 #endif
 
 /* Cells that are fetched whole, and a step ahead. */
-#define CELLS_AHEAD (!NOISE && !WIDE_FILTER && !BLOCKS)
+#define CELLS_AHEAD (!SAMPLED_CELLS && !WIDE_FILTER && !BLOCKS)
 /* Cells around voxels, not between them. */
-#define CENTRED_CELLS (!NOISE && FILTER == FILTER_NEAREST)
+#define CENTRED_CELLS (!SAMPLED_CELLS && FILTER == FILTER_NEAREST)
 /* What a cell needs to know of the one before. */
-#define VALUE_BEFORE (NOISE || FILTER == FILTER_NEAREST)
+#define VALUE_BEFORE (SAMPLED_CELLS || FILTER == FILTER_NEAREST)
 
 typedef struct {
   Rays ray;           /* in edges */
@@ -193,7 +195,7 @@ INLINE void find_surfaces(const Scene *scene, SurfaceWalk *w, intN wanted, float
       ahead = fetch_cell(scene->volume, view, select(w->ix, nx, goes_on), select(w->iy, ny, goes_on),
                          select(w->iz, nz, goes_on));
 #endif
-#if NOISE
+#if SAMPLED_CELLS
       if (any_lane(open & ~w->known)) w->before = select(w->before, value_on_ray(scene, ray, from), open & ~w->known);
       w->known |= open;
       const floatN value = value_on_ray(scene, ray, t1);

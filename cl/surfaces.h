@@ -21,6 +21,9 @@
 #if LIGHTING
 #include "shade.h"
 #endif
+#if AMBIENT_OCCLUSION
+#include "ambient_occlusion.h"
+#endif
 #if DEPTH_CUE
 #include "depth_cue.h"
 #endif
@@ -123,6 +126,8 @@ INLINE SurfacePassage pass_surfaces(const Scene *scene, SurfaceWalk *walk, Vecto
 #if LIGHTING
     color = shaded_color(scene, color, (floatN)1.0f, at, normal, gradient, view, opacity * left, 1, has_normal,
                          counted);
+#elif AMBIENT_OCCLUSION
+    color = occluded_surface(scene, color, at, normal, has_normal);
 #endif
 #endif
 #if DEPTH_CUE

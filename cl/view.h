@@ -10,6 +10,7 @@
 #ifndef VIEW_H
 #define VIEW_H
 
+#include "features.h"
 #include "struct_fields.h"
 
 #if VOXEL_BITS == 64
@@ -27,6 +28,7 @@ typedef struct {
   float4 shows_above;  /* nothing is visible between two values if of each component both are <= this */
   float4 shows_below;  /* or both >= that */
   float4 opacity_terms, opacity_more; /* opacity of a step through one value (step_opacity() of transfer_pieces.h), */
+  float4 filter_terms[MOST_FILTER_TERMS]; /* polynomials of a kernel's weights (kernel_filter.h) */
   int4 size;           /* x, y, z: lattice points */
   int4 cells;          /* x, y, z: cells of the distance map (skip_empty.h) */
   float4 owned_from;   /* x, y, z: with OWNED_BOX (owned_box.h), the box that owns the segments whose front is at or */
@@ -81,7 +83,7 @@ typedef struct {
   STRUCT(View), FIELD(View, plane_origin), FIELD(View, plane_du), FIELD(View, plane_dv), \
   FIELD(View, ray_forward), FIELD(View, ray_du), FIELD(View, ray_dv), FIELD(View, upper), \
   FIELD(View, shows_above), FIELD(View, shows_below), FIELD(View, opacity_terms), \
-  FIELD(View, opacity_more), FIELD(View, opacity_limit), FIELD(View, size), \
+  FIELD(View, opacity_more), FIELD(View, filter_terms), FIELD(View, opacity_limit), FIELD(View, size), \
   FIELD(View, owned_from), FIELD(View, owned_to), FIELD(View, stored_from), FIELD(View, stored_to), \
   FIELD(View, cells), FIELD(View, tangent), FIELD(View, centre), FIELD(View, image), FIELD(View, tile), \
   FIELD(View, lattice), FIELD(View, ray_spacing), FIELD(View, ray_tolerance), FIELD(View, first_tile), \

@@ -39,7 +39,7 @@ _LAZY = {
 }
 # The models of a scene's tables, and of the entries of their lists.
 _TABLES = (
-    "Animation", "ChannelSettings", "Clip", "Coherence", "Compression", "ControlPoint", "DepthCue",
+    "AmbientOcclusion", "Animation", "ChannelSettings", "Clip", "Coherence", "Compression", "ControlPoint", "DepthCue",
     "DirectionalOpacity", "DirectionalOpacityPoint", "Display", "Environment", "FieldLabel", "FieldSettings",
     "GradientOpacity", "GradientOpacityPoint", "GradientSettings", "ImageSettings", "Integration", "Isosurface",
     "Light", "Material", "Multiresolution", "Noise", "Overlay", "Pyramid", "Refraction",

@@ -215,6 +215,8 @@ TUNABLES: dict[str, Tunable] = {
 
 NOT_TUNABLE: dict[str, str] = {
     "integration.prefilter": "another picture: the field then passes through the voxels",
+    "integration.filter_table": "another picture: the kernel of the filter 'table'",
+    "integration.filter_reach": "another picture: how far that kernel reaches",
     "integration.compositing": "another picture: how the values along a ray become a pixel",
     "integration.blend": "another picture: how those of channels are put together",
     "integration.attenuation": "another picture: how much samples behind others contribute",

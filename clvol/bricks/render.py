@@ -29,6 +29,7 @@ _NEARLY = 1e-6  # opacity: in which of two bricks it reaches one half may depend
 # Switches of effects that are no sum over a ray's segments, each of which depends on voxels beside it alone.
 _NOT_IN_PARTS = {
     "SHADOWS": ("shadow", "and light comes to a brick through all others"),
+    "AMBIENT_OCCLUSION": ("ambient_occlusion", "and matter in one brick takes light from another"),
     "ENVIRONMENT_VISIBLE": ("environment.visible", "behind which all others lie"),
     "REFRACTION": ("isosurface.refraction", "behind which rays go on through other bricks"),
     "CURVED_RAYS": ("refraction", "and rays bend from one brick to another"),

@@ -177,6 +177,7 @@ def _build_ahead(scene: Scene, memory_cap: int | None, depth: bool) -> None:
 # What a picture and its scene, rendered again, may differ in: key of made_from -> in words.
 _MADE_OF = {
     "voxels": "voxels", "fields": "fields", "label_tables": "label tables", "environment": "environment",
+    "clip_meshes": "meshes of clips",
     "look": "transfer function or image",
 }  # fmt: skip
 

@@ -5,6 +5,8 @@ A kernel's list is composed: ``scene_arguments(bits) + EFFECT_ARGUMENTS + its ow
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from clvol.opencl.arguments import RAW, Argument, reads, writes
@@ -23,6 +25,7 @@ EFFECT_ARGUMENTS: Arguments = (
     reads("noise", np.uint32),
     reads("factors", np.float32),
     reads("fields", np.float32),
+    reads("occlusion", np.float32),
 )
 """The arguments that EFFECTS adds; a few bytes stand in for arrays that a scene does not need."""
 
@@ -32,6 +35,7 @@ def view_argument(voxel_bits: int) -> Argument:
     return reads("view", view_dtype(voxel_bits))
 
 
+@lru_cache
 def scene_arguments(voxel_bits: int) -> Arguments:
     """The arguments with which every variant begins."""
     return (
@@ -50,6 +54,7 @@ def block_arguments(buffers: int, *, bounded: bool = False) -> Arguments:
     return (reads("index", np.int32), reads("corners", np.uint32), reads("blocks", BLOCKS), *more, *steps)
 
 
+@lru_cache
 def picture_arguments(*, depth: bool) -> Arguments:
     """The arrays that a picture is written to: pixels, and a number of samples per tile."""
     return (

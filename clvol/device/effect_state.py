@@ -25,7 +25,9 @@ from clvol.device.light_volume import (
 )
 from clvol.device.local_space import LocalSpace, unit_vector
 from clvol.device.memory import ValueMap
+from clvol.device.mesh_clips import mesh_rows
 from clvol.device.noise import device_noise, device_tiles, perturbation
+from clvol.device.occlusion_volume import check_occlusion_fits, occlusion_numbers
 from clvol.device.opacity_factors import factor_rows, layer_places
 from clvol.device.projection import (
     NO_SCORE,
@@ -77,7 +79,7 @@ class EffectState:
                 ("items", np.float32), ("gradients", np.uint32), ("surface_distances", np.uint8),
                 ("constant_distances", np.uint8), ("environment", np.float32),
                 ("light_volume", np.float32), ("noise", np.uint32),
-                ("factors", np.float32), ("fields", np.float32),
+                ("factors", np.float32), ("fields", np.float32), ("occlusion", np.float32),
             )
         }  # fmt: skip
         self.arrays: dict[str, DeviceArray] = none
@@ -97,6 +99,10 @@ class EffectState:
         if self.switches.get("SHADOWS"):
             check_fits(resolved, DeviceLimits.of(context))
             for name, value in shadow_numbers(resolved, padded_size(resolved.volume)).items():
+                self.numbers[0][name] = value
+        if resolved.ambient_occlusion is not None and self.switches.get("AMBIENT_OCCLUSION"):
+            check_occlusion_fits(resolved, DeviceLimits.of(context))
+            for name, value in occlusion_numbers(resolved, padded_size(resolved.volume)).items():
                 self.numbers[0][name] = value
         self.arrays["effects"] = context.upload(self.numbers)
 
@@ -118,11 +124,15 @@ class EffectState:
             self._fill_depth_cue(resolved.depth_cue)
         lights, surfaces, clips = self._items(resolved, values)
         rows = [*lights, *surfaces, *clips]
-        if rows:
-            self.arrays["items"] = self.context.upload(np.array(rows, np.float32))
-        keeps = sum(clip.keep == "inside" for clip in resolved.clips)
+        meshes = mesh_rows(resolved, space, len(rows))
+        if rows or meshes:
+            listed = np.array(rows, np.float32).reshape(-1, 4)
+            self.arrays["items"] = self.context.upload(np.concatenate([listed, *meshes]))
+        simple = [clip for clip in resolved.clips if clip.type != "mesh"]
+        keeps = sum(clip.keep == "inside" for clip in simple)
+        numbers["mesh_clips"] = len(resolved.clips) - len(simple)
         numbers["light_count"], numbers["surface_count"] = len(resolved.lights), len(resolved.isosurfaces)
-        numbers["kept_clips"], numbers["removed_clips"] = keeps, len(resolved.clips) - keeps
+        numbers["kept_clips"], numbers["removed_clips"] = keeps, len(simple) - keeps
         numbers["first_surface"], numbers["first_clip"] = len(lights), len(lights) + len(surfaces)
 
     def _add_factors(self, resolved: ResolvedScene, volume: ResidentVolume) -> None:
@@ -275,7 +285,8 @@ class EffectState:
             surfaces.append((*surface.color, 0.0))
             back = surface.color if surface.back_color is None else surface.back_color
             surfaces.append((*back, 0.0))
-        for clip in sorted(resolved.clips, key=lambda c: c.keep != "inside"):
+        simple = [clip for clip in resolved.clips if clip.type != "mesh"]
+        for clip in sorted(simple, key=lambda c: c.keep != "inside"):
             clips += _clip_rows(clip, space)
         return lights, surfaces, clips
 
@@ -295,14 +306,16 @@ class EffectState:
         self.arrays["constant_distances"] = distances
 
     def counted(self, sums: dict[str, int]) -> dict[str, int]:
-        """Those of ``sums`` (by the names of COUNTERS) that the scene's effects count."""
+        """``sums`` by name, of COUNTERS only those that the scene's effects count."""
         by_volume = self.switches.get("SHADOWS") in (METHODS["volume"], METHODS["half-angle"])
         bend = any(self.switches.get(switch) for switch in _BEND)
-        return {
-            name: total
-            for name, total in sums.items()
-            if (bend if name == "bends" else self.switches.get(COUNTERS[name])) and not (by_volume and name in _BY_RAYS)
-        }
+
+        def counts(name: str) -> bool:
+            if by_volume and name in _BY_RAYS:
+                return False
+            return bend if name == "bends" else bool(self.switches.get(COUNTERS[name]))
+
+        return {name: total for name, total in sums.items() if name not in COUNTERS or counts(name)}
 
 
 def _clip_rows(clip: Clip, space: LocalSpace) -> list[Row]:

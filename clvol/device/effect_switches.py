@@ -10,7 +10,9 @@ from clvol.device.aimed_lights import has_aimed
 from clvol.device.fields import field_switches
 from clvol.device.gradients import gradient_switch
 from clvol.device.light_volume import shadow_switches
+from clvol.device.mesh_clips import mesh_switch
 from clvol.device.noise import TARGETS
+from clvol.device.occlusion_volume import occlusion_switch
 from clvol.device.opacity_factors import factor_switches
 from clvol.features import COMPOSITINGS, GRADIENTS, emits, is_lit
 from clvol.features.gradient_storage import UNLIMITED, DeviceLimits
@@ -32,6 +34,7 @@ def effect_switches(
     surfaces = resolved.isosurfaces
     refracts = any(surface.refraction != 1.0 for surface in surfaces)
     factors = resolved.gradient_opacity is not None or resolved.directional_opacity is not None
+    faces = bool(surfaces) and resolved.ambient_occlusion is not None
     ends = lit and resolved.material.light_at == "ends"
     curves = resolved.refraction is not None
     decides = factors or has_gradient_layers(resolved)
@@ -53,8 +56,10 @@ def effect_switches(
         **({"TINTED_SCATTERING": 1} if resolved.attenuation_noise else {}),
         **({"GLOW": 1} if resolved.glow is not None else {}),
         **({"CURVED_RAYS": 1} if curves else {}),
+        **mesh_switch(resolved),
+        **occlusion_switch(resolved),
         **({"LIT_AT_ENDS": 1} if ends else {}),
-        "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides or curves else 0,
+        "GRADIENT": _gradient(resolved, limits) if lit or refracts or decides or faces or curves else 0,
     }
     if not any(switches.values()):
         return {}
@@ -77,6 +82,7 @@ def _projection_switches(resolved: ResolvedScene, seen: bool) -> dict[str, int]:
         "CLIP": int(bool(resolved.clips)),
         "ENVIRONMENT_VISIBLE": int(seen),
         "NOISE": _noise(resolved),
+        **mesh_switch(resolved),
         **field_switches(resolved),
     }
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from clvol.device.arguments import Arguments
 from clvol.features.gradient_storage import DeviceLimits, chosen_storage
-from clvol.features.vocabulary import GRADIENTS
+from clvol.features.vocabulary import ANALYTIC, GRADIENTS
 from clvol.opencl.arguments import INT4, RAW, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
 from clvol.volume import Volume
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from clvol.device.volume import DeviceVolume
 
 OPERATORS = ("central", "sobel")
-_ANALYTIC = ("cubic", "catmull-rom")  # filters that have a derivative of their own
 _ROOTS, _DIRECTIONS = 255, 127  # largest numbers of a code's root of length, and of its direction
 _SIZE = ("size.x", "size.y", "size.z")
 
@@ -27,7 +26,7 @@ def gradient_switch(
     volume: Volume, filter: str, operator: str, storage: str, limits: DeviceLimits
 ) -> int:
     """GRADIENT of cl/features.h for a scene's filter and [gradient] ``operator`` and ``storage``."""
-    if filter in _ANALYTIC:
+    if filter in ANALYTIC:
         return GRADIENTS["analytic"]
     if chosen_storage(volume, operator, storage, limits) == "precomputed":
         return GRADIENTS["precomputed"]

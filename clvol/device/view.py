@@ -6,13 +6,16 @@ that touches the volume, so that neither a far eye nor a large origin costs floa
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from clvol.scene.camera import Camera
+from clvol.scene.triples import Triple, difference, dot, scaled
 from clvol.schedule.tiles import TILE
 from clvol.volume import Grid
+from clvol.volume.grid import GridFloats
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,42 +128,35 @@ def ray_frame(
 ) -> RayFrame:
     """The rays of ``camera`` (complete) for a picture of ``width`` by ``height`` square pixels, or
     for the sparse picture of ``lattice``: then the pixels of RayFrame are the lattice's."""
-    forward, right, up = camera.basis()
-    lower, upper = grid.index_bounds()
-    to_index = grid.world_to_index()
-    linear = to_index[:3, :3]
-    centre_world = (grid.index_to_world() @ np.append(0.5 * (lower + upper), 1.0))[:3]
-    eye = np.asarray(camera.position, np.float64)
-    half = 0.5 * (upper - lower) * np.asarray(grid.spacing)
-    reach = float(np.abs(forward @ grid.direction) @ half)
+    forward, right, up = camera.axes()
+    of_grid = grid.in_floats
+    eye = camera.eye()
+    reach = sum(abs(dot(forward, column)) * half for column, half in zip(of_grid.columns, of_grid.half))
     # The plane touches the domain from the front, or holds an eye that is nearer: a ray meets it no
     # farther from the view's axis than it meets the domain, however wide the view.
-    distance = max(float((centre_world - eye) @ forward) - reach, 0.0)
+    distance = max(dot(difference(of_grid.centre, eye), forward) - reach, 0.0)
     # eye + distance * forward - centre is formed so that a far eye cancels before it is rounded.
-    offset = eye - centre_world
-    offset = offset + distance * forward
-    shift = np.where(np.asarray(grid.size) == 1, 0.5, 0.0)  # an axis of one voxel is held twice
-    origin = linear @ offset + 0.5 * (lower + upper) + shift
+    offset = _sum(difference(eye, of_grid.centre), scaled(distance, forward))
+    # An axis of one voxel is held twice.
+    origin = [x + 0.5 * (n == 1) for x, n in zip(_sum(_lattice(of_grid, offset), of_grid.middle), grid.size)]
 
     if camera.projection == "orthographic":
-        pixel = picture_height(camera) / height
-        zero = np.zeros(3)
-        du, dv = pixel * right, -pixel * up
-        ray_du, ray_dv, lens = zero, zero, (0.0, 0.0)
+        pixel, tangent = picture_height(camera) / height, 0.0
+        ray_du = ray_dv = (0.0, 0.0, 0.0)
+        du, dv = scaled(pixel, right), scaled(-pixel, up)
     else:
-        tangent = 2.0 * np.tan(np.radians(camera.fov_degrees) / 2.0) / height
-        ray_du, ray_dv = tangent * right, -tangent * up
-        du, dv = distance * ray_du, distance * ray_dv
-        lens = (tangent, tangent)
+        tangent = 2.0 * math.tan(math.radians(camera.fov_degrees) / 2.0) / height
+        ray_du, ray_dv = scaled(tangent, right), scaled(-tangent, up)
+        du, dv = scaled(distance, ray_du), scaled(distance, ray_dv)
     every, unit = lattice.spacing, grid.smallest_edge
     return RayFrame(
-        origin=origin,
-        du=every * (linear @ du),
-        dv=every * (linear @ dv),
-        forward=linear @ (unit * forward),
-        ray_du=linear @ (unit * every * ray_du),
-        ray_dv=linear @ (unit * every * ray_dv),
-        lens=(every * lens[0], every * lens[1]),
+        origin=np.array(origin),
+        du=np.array(scaled(every, _lattice(of_grid, du))),
+        dv=np.array(scaled(every, _lattice(of_grid, dv))),
+        forward=np.array(_lattice(of_grid, scaled(unit, forward))),
+        ray_du=np.array(_lattice(of_grid, scaled(unit * every, ray_du))),
+        ray_dv=np.array(_lattice(of_grid, scaled(unit * every, ray_dv))),
+        lens=(every * tangent, every * tangent),
         centre=(
             ((width - 1) / 2.0 - lattice.column) / every,
             ((height - 1) / 2.0 - lattice.row) / every,
@@ -168,3 +164,13 @@ def ray_frame(
         distance=distance / unit,
         unit=unit,
     )
+
+
+def _sum(a: Triple, b: Triple) -> Triple:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+def _lattice(grid: GridFloats, vector: Triple) -> Triple:
+    """The world ``vector`` in lattice units."""
+    x, y, z = grid.linear
+    return dot(x, vector), dot(y, vector), dot(z, vector)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from weakref import ReferenceType, WeakKeyDictionary, ref
 
 from clvol.features import (
+    ambient_occlusion,
     channels,
     clipping,
     depth_cue,
@@ -40,6 +41,11 @@ NAMES = (
     "nearest filter",
     "cubic filter",
     "catmull-rom filter",
+    "mitchell filter",
+    "lanczos2 filter",
+    "lanczos3 filter",
+    "windowed-sinc filter",
+    "table filter",
     "prefilter",
     "lighting",
     "specular",
@@ -52,6 +58,7 @@ NAMES = (
     "scattering",
     "attenuation noise",
     "half-angle slices",
+    "ambient occlusion",
     "isosurfaces",
     "refraction",
     "continuous refraction",
@@ -75,7 +82,7 @@ NAMES = (
 # Each pass analyses the scene as reduced by the passes before it.
 _PASSES = (
     filters, glow, emission, segments, fields, noise, clipping, surfaces, refraction, opacity, lighting, shadows,
-    half_angle, depth_cue, gradients,
+    half_angle, ambient_occlusion, depth_cue, gradients,
 )  # fmt: skip
 
 

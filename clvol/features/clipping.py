@@ -1,4 +1,4 @@
-"""Clip planes, boxes and spheres."""
+"""Clip planes, boxes, spheres and meshes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from clvol.features.findings import NOTHING_VISIBLE, Findings
 from clvol.features.geometry import cuts
 from clvol.scene.clip import Clip
 
-_NOUNS = {"plane": "clip plane", "box": "clip box", "sphere": "clip sphere"}
+_NOUNS = {"plane": "clip plane", "box": "clip box", "sphere": "clip sphere", "mesh": "clip mesh"}
 
 
 def analyse(found: Findings) -> None:

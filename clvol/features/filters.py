@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from clvol.features.effect import no, yes
 from clvol.features.findings import Findings
+from clvol.features.kernels import described, kernel_of
 from clvol.features.vocabulary import FILTERS
 
 
@@ -13,7 +14,10 @@ def analyse(found: Findings) -> None:
     for name in FILTERS:
         if name != "linear":
             is_it = name == filter
-            found.note((yes if is_it else no)(f"{name} filter", f"the filter is {filter!r}"))
+            told = f"the filter is {filter!r}"
+            if is_it and kernel_of(integration) is not None:
+                told += f", {described(integration)}"
+            found.note((yes if is_it else no)(f"{name} filter", told))
     if not integration.prefilter:
         found.note(no("prefilter", "prefilter is false"))
     elif filter == "cubic":

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 
-from clvol.scene.clip import Clip
+from clvol.scene.clip import Clip, MeshClip
 from clvol.volume import Grid
 
 _ROUNDING = 1e-14  # of coordinates
@@ -27,6 +27,8 @@ def cuts(clip: Clip, grid: Grid) -> bool:
         below = lower - _ROUNDING * np.maximum(reach, np.abs(lower))
         above = upper + _ROUNDING * np.maximum(reach, np.abs(upper))
         return bool(np.any(corners < below) or np.any(corners > above))
+    if isinstance(clip, MeshClip):  # what is within a mesh may be hollow
+        return clip.keep == "inside" or not box_apart(grid, *clip.mesh.bounds)
     center = np.asarray(clip.center)
     offsets = corners - center
     largest = max(np.abs(offsets).max(), clip.radius)  # so that no square may overflow

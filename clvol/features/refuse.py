@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from clvol.errors import SceneError
 from clvol.features.analysis import effects
+from clvol.features.kernels import check_kernel
 from clvol.features.vocabulary import FILTERS
 from clvol.scene.resolve import ResolvedScene
 
@@ -19,6 +20,7 @@ def check_effects(resolved: ResolvedScene) -> None:
     if integration.filter not in FILTERS:
         expected = " or ".join(repr(name) for name in FILTERS)
         raise SceneError(f"{origin}: integration.filter", f"got {integration.filter!r}", expected)
+    check_kernel(integration, origin)
     if integration.classification == "pre" and integration.compositing == "over":
         if any(effect.name == "noise" and effect.called_for for effect in effects(resolved)):
             where = f"{origin}: integration.classification"

@@ -15,8 +15,9 @@ from clvol.features.findings import Findings
 from clvol.features.geometry import box_apart, nearest_distance
 from clvol.features.values import reachable
 from clvol.scene.camera import Camera
-from clvol.scene.clip import Clip
+from clvol.scene.clip import Clip, MeshClip
 from clvol.scene.resolve import ResolvedScene, default_opacity_unit
+from clvol.scene.triples import difference, dot
 from clvol.transfer import PRESETS, TransferFunction
 from clvol.volume import Grid
 
@@ -52,6 +53,8 @@ def _scene_warnings(resolved: ResolvedScene) -> list[ClvolWarning]:
 
 def camera_warning(camera: Camera, grid: Grid, width: int, height: int) -> ClvolWarning | None:
     """A warning if no ray of ``camera`` (complete) can hit the volume on ``grid``."""
+    if _sees_centre(camera, grid, width / height):
+        return None
     corners = np.asarray(grid.world_corners(), np.float64) - np.asarray(camera.position)
     forward, right, up = camera.basis()
     advice = "set camera.target to a place in the volume, or leave [camera] out to see all of it"
@@ -73,6 +76,18 @@ def camera_warning(camera: Camera, grid: Grid, width: int, height: int) -> Clvol
             what = f"does not see the volume, which lies {place} the picture: nothing is visible"
             return ClvolWarning("camera", what, advice)
     return None
+
+
+def _sees_centre(camera: Camera, grid: Grid, aspect: float) -> bool:
+    """Whether the centre of the volume is in the picture, of which nothing more needs to be found out then."""
+    forward, right, up = camera.axes()
+    place = difference(grid.in_floats.centre, camera.eye())
+    ahead = dot(place, forward)
+    if camera.projection == "orthographic":
+        half = 0.5 * camera.height_of_view()
+    else:
+        half = ahead * math.tan(math.radians(camera.fov_degrees) / 2)
+    return ahead > 0 and abs(dot(place, right)) < half * aspect and abs(dot(place, up)) < half
 
 
 def largest_depth(resolved: ResolvedScene) -> float:
@@ -270,6 +285,9 @@ def _clip(clip: Clip, number: int, grid: Grid) -> ClvolWarning | None:
         if clip.keep != "outside":
             removes = box_apart(grid, lower, upper)
         advice = "set its lower and upper to a box that meets the volume, or keep to the other side"
+    elif isinstance(clip, MeshClip):
+        removes = clip.keep == "inside" and box_apart(grid, *clip.mesh.bounds)
+        advice = "move it into the volume, in the world coordinates of both, or keep to the other side"
     else:
         centre = np.asarray(clip.center)
         largest = max(np.abs(corners - centre).max(), clip.radius)

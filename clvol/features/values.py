@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clvol.features.vocabulary import overshoot
+from clvol.features.vocabulary import SLOPES, WEIGHTS, overshoot
 from clvol.scene.resolve import ResolvedScene
 from clvol.transfer import TransferFunction
 
@@ -13,9 +13,6 @@ from clvol.transfer import TransferFunction
 # most (L - 1) / 2 of it on either side. Along an axis L is 3 or less: the B-spline's samples, of
 # which the prefilter is the inverse, are (1, 4, 1) / 6 in each row, dominated by the diagonal.
 _COEFFICIENTS = 3.0**3
-# The largest derivative, in ranges of the values an index: absolute derivatives of the weights sum
-# to at most 3 for Catmull-Rom and 2 for the B-spline; half of that is what a range can give.
-_STEEPEST = {"nearest": 1.0, "linear": 1.0, "cubic": 1.0, "catmull-rom": 1.5 * 1.25**2}
 _ROUNDING = 1.05  # for quantised gradients
 
 
@@ -58,7 +55,8 @@ def steepest(scene: ResolvedScene) -> float:
     if scene.noise:
         return np.inf
     low, high = scene.volume.value_range
-    share = _STEEPEST[scene.integration.filter]
+    # In ranges of the values an index: half of the absolute derivatives of the weights is what a range can give.
+    share = 0.5 * SLOPES[scene.integration.filter] * WEIGHTS.get(scene.integration.filter, 1.0) ** 2
     if scene.integration.filter == "cubic" and scene.integration.prefilter:
         share *= _COEFFICIENTS
     to_index = scene.volume.grid.world_to_index()[:3, :3]

@@ -50,23 +50,26 @@ class Argument:
 
     def check_buffer(self, kernel: str, array: Any, sizes: Mapping[str, int]) -> None:
         """RenderError unless ``array`` (with ``dtype`` and ``shape``) fits the declaration."""
-        where = f"kernel {kernel}, argument {self.name}"
-        if self.dtype != RAW and array.dtype != self.dtype:
-            raise RenderError(where, f"got {array.dtype}", str(self.dtype))
-        held = math.prod(array.shape) * (array.dtype.itemsize if self.dtype == RAW else 1)
+        is_raw = self.dtype is RAW
+        if not is_raw and array.dtype != self.dtype:
+            raise RenderError(self._where(kernel), f"got {array.dtype}", str(self.dtype))
+        held = math.prod(array.shape) * (array.dtype.itemsize if is_raw else 1)
         least = 1
         for size in self.shape:
             if isinstance(size, str) and size not in sizes:
-                raise RenderError(where, f"no size {size!r}", f"one of {', '.join(sizes) or 'none'}")
+                raise RenderError(self._where(kernel), f"no size {size!r}", f"one of {', '.join(sizes) or 'none'}")
             least *= sizes[size] if isinstance(size, str) else size
         if held < least:
-            unit = "bytes" if self.dtype == RAW else "elements"
+            unit = "bytes" if is_raw else "elements"
             shape = " by ".join(str(size) for size in self.shape)
-            raise RenderError(where, f"got {held} {unit}", f"at least {least} ({shape})")
+            raise RenderError(self._where(kernel), f"got {held} {unit}", f"at least {least} ({shape})")
+
+    def _where(self, kernel: str) -> str:
+        return f"kernel {kernel}, argument {self.name}"
 
     def checked_value(self, kernel: str, given: Any) -> Any:
         """``given`` converted to the declared type; RenderError where its shape differs, or an integer does not fit."""
-        where = f"kernel {kernel}, argument {self.name}"
+        where = self._where(kernel)
         try:
             converted = np.asarray(given, dtype=self.dtype.base)
         except (TypeError, ValueError, OverflowError):

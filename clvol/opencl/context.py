@@ -67,6 +67,7 @@ class Kernel:
         self.name = name
         self._where = device or f"kernel {name}"
         self.arguments = arguments
+        self._names = {argument.name for argument in arguments}
         self._alone, self._safe = alone, safe
         self._kernel = cl.Kernel(program, name)
         if self._kernel.num_args != len(self.arguments):
@@ -88,7 +89,7 @@ class Kernel:
         """Enqueues the kernel with its arguments by name. ``sizes``: values of names in their shapes, in addition to
         the kernel's own integer arguments."""
         check_fork()
-        if given.keys() != {argument.name for argument in self.arguments}:
+        if given.keys() != self._names:
             expected = ", ".join(argument.name for argument in self.arguments)
             raise RenderError(f"kernel {self.name}", f"got {', '.join(given)}", expected)
         values = {a.name: a.checked_value(self.name, given[a.name]) for a in self.arguments if a.intent == "value"}
@@ -305,16 +306,26 @@ class DeviceContext:
     def take(self, output: DeviceArray) -> np.ndarray:
         """The contents of an ``output`` once everything enqueued is done. The output is not reused while the returned
         array, or a view of it, exists."""
+        return self.take_all([output])[0]
+
+    def take_all(self, outputs: Sequence[DeviceArray]) -> list[np.ndarray]:
+        """As ``take``, of several outputs, with a single wait."""
         check_fork()
-        if output.host is None:
-            return self.read(output)
         with failures_of(self.name):
-            mapped, _ = cl.enqueue_map_buffer(
-                self.queue, output.buffer, cl.map_flags.READ, 0, output.shape, output.dtype
-            )
-            mapped.base.release(self.queue)
-        self._lent.discard(id(output))
-        return output.host
+            waiting = [self._mapped(output) for output in outputs if output.host is not None]
+            if waiting:
+                waiting[-1][1].wait()  # the queue is in order
+            for mapped, _ in waiting:
+                mapped.base.release(self.queue)
+        self._lent.difference_update(map(id, outputs))
+        return [self.read(output) if output.host is None else output.host for output in outputs]
+
+    def _mapped(self, output: DeviceArray) -> tuple[Any, cl.Event]:
+        """The memory of an ``output`` and the event after which it may be read."""
+        mapped, event = cl.enqueue_map_buffer(
+            self.queue, output.buffer, cl.map_flags.READ, 0, output.shape, output.dtype, is_blocking=False
+        )
+        return mapped, event
 
     def write(self, array: DeviceArray, values: np.ndarray, first: int = 0) -> None:
         """Copies ``values`` into ``array``, from element ``first`` on; returns when the copy is done."""

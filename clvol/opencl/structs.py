@@ -15,7 +15,7 @@ import numpy as np
 from clvol.store.codecs.coded_blocks import MOST_STAGES
 
 # Lengths of arrays in structs, as in cl/features.h: how many of each a scene may have.
-MOST_FIELDS, MOST_NOISE_TERMS, MOST_HALVES = 8, 4, 16
+MOST_FIELDS, MOST_NOISE_TERMS, MOST_HALVES, MOST_FILTER_TERMS = 8, 4, 16, 9
 
 _TYPES = {
     "float": np.dtype("f4"), "float2": np.dtype(("f4", 2)), "float4": np.dtype(("f4", 4)),
@@ -73,6 +73,7 @@ def view_dtype(voxel_bits: int) -> np.dtype:
     return struct(
         ("float4", "plane_origin plane_du plane_dv ray_forward ray_du ray_dv upper"),
         ("float4", "shows_above shows_below opacity_terms opacity_more"),
+        ("float4", "filter_terms", MOST_FILTER_TERMS),
         ("int4", "size cells"),
         ("float4", "owned_from owned_to"),
         ("int4", "stored_from stored_to"),
@@ -138,8 +139,8 @@ FIELD = struct(
 
 EFFECTS = struct(
     ("float4", "local_x local_y local_z gradient_x gradient_y gradient_z"),
-    ("float4", "gradient_scale cue_color light_grid noise_reach"),
-    ("int4", "light_size"),
+    ("float4", "gradient_scale cue_color light_grid occlusion_grid noise_reach"),
+    ("int4", "light_size occlusion_size"),
     (FIELD, "fields", MOST_FIELDS),
     (NOISE_TERM, "noise_terms", MOST_NOISE_TERMS),
     ("int", "along_axes"),
@@ -148,7 +149,7 @@ EFFECTS = struct(
     ("float", "cue_start cue_per_edge cue_strength"),
     ("float", "lowest_value values_per_range attenuation hidden_score lowest_sample highest_sample"),
     ("float", "shadow_bound shadow_step shadow_depth scattering"),
-    ("int", "light_count surface_count kept_clips removed_clips first_light first_surface first_clip"),
+    ("int", "light_count surface_count kept_clips removed_clips mesh_clips first_light first_surface first_clip"),
     ("int", "diffuse_map_size specular_map_size sky_map_size diffuse_map specular_map sky_map"),
     ("int", "gradient_opacity_points directional_opacity_points layer_count layer_rows"),
     ("int", "gradient_opacity_table directional_opacity_table layer_table"),

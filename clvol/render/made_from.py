@@ -68,8 +68,8 @@ def _told(resolved: ResolvedScene, camera: Camera, frame: int | None) -> dict[st
 
 
 def _sources(resolved: ResolvedScene) -> dict[str, Any]:
-    """Digests of "voxels", and, where the scene has them, "fields", "label_tables", "environment" and "light_images";
-    None for data that has disappeared meanwhile, or does not fit into memory."""
+    """Digests of "voxels", and, where the scene has them, "fields", "label_tables", "environment", "light_images" and
+    "clip_meshes"; None for data that has disappeared meanwhile, or does not fit into memory."""
     by_blocks = integrator_of(resolved).reads_blocks or coded_source(resolved.volume) is not None
     found: dict[str, Any] = {"voxels": None, "fields": None, "environment": None}
     try:
@@ -82,6 +82,8 @@ def _sources(resolved: ResolvedScene) -> dict[str, Any]:
             found["environment"] = file_digest(resolved.environment.path)
         if images := [light.file for light in resolved.lights if light.file is not None]:
             found["light_images"] = [file_digest(image) for image in images]
+        if meshes := [clip.file for clip in resolved.clips if clip.file is not None]:
+            found["clip_meshes"] = [file_digest(mesh) for mesh in meshes]
     except (OSError, ClvolError):
         pass
     return {name: value for name, value in found.items() if value or name == "voxels"}

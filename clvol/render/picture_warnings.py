@@ -11,7 +11,7 @@ from clvol.errors import ClvolWarning
 from clvol.features import emits
 from clvol.features.scene_warnings import BLANK, largest_depth
 from clvol.scene.camera import Camera
-from clvol.scene.clip import Clip
+from clvol.scene.clip import Clip, MeshClip
 from clvol.scene.resolve import ResolvedScene, default_opacity_unit
 from clvol.volume import Grid
 
@@ -32,14 +32,14 @@ def picture_warning(
     if resolved.glow is not None and rgba[..., :3].max(initial=0.0) >= BLANK:
         return None
     spacing = [max(1, n // _PIXELS) for n in alpha.shape]
-    some = alpha[:: spacing[0], :: spacing[1]]
+    some = alpha[:: spacing[0], :: spacing[1]].copy()  # read once: every pixel of them is in a cache line of its own
     if some.max(initial=0.0) < BLANK:
         environment = resolved.environment
         seen = environment is not None and environment.visible and environment.intensity > 0
         largest = float(alpha.max(initial=0.0))
         return None if seen or largest >= BLANK else _blank(resolved, camera, alpha.shape, largest)
-    shown = some >= BLANK
-    if shown.mean() < 0.01 or (some[shown] < _OPAQUE).mean() > 0.05:
+    shown = np.count_nonzero(some >= BLANK)
+    if shown < 0.01 * some.size or shown - np.count_nonzero(some >= _OPAQUE) > 0.05 * shown:
         return None
     return _box(resolved, camera, alpha, depth)
 
@@ -164,6 +164,11 @@ def _anything_kept(grid: Grid, clips: tuple[Clip, ...]) -> bool:
     points = points @ to_world[:3, :3].T + to_world[:3, 3]
     kept = np.ones(len(points), bool)
     for clip in clips:
+        if isinstance(clip, MeshClip):
+            low, high = clip.mesh.bounds
+            if clip.keep == "inside":
+                kept &= ((points >= low) & (points <= high)).all(axis=1)
+            continue
         if clip.type == "plane":
             kept &= (points - np.asarray(clip.point)) @ np.asarray(clip.normal) >= 0
             continue

@@ -14,6 +14,7 @@ from weakref import WeakSet
 
 from clvol.device.fields import field_bytes
 from clvol.device.light_volume import light_volume_bytes
+from clvol.device.occlusion_volume import occlusion_bytes
 from clvol.errors import DeviceError, RenderError, UsageError, VolumeError
 from clvol.features.analysis import differs_in_view
 from clvol.features.compression import is_compressed
@@ -438,6 +439,7 @@ def check_memory(resolved: ResolvedScene, cap: int | None) -> None:
     integrator, volume = integrator_of(resolved), resolved.volume
     scenes = channel_scenes(resolved)
     needed = sum(integrator.device_bytes(each.volume, each) + light_volume_bytes(each) for each in scenes)
+    needed += sum(map(occlusion_bytes, scenes))
     needed += 0 if integrator.reads_blocks else field_bytes(resolved)  # they are in the memory for blocks
     if needed > cap:
         what = f"needs {needed} bytes on the device, pictures and tables included"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from clvol.scene.ambient_occlusion import AmbientOcclusion
 from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
 from clvol.scene.channel import ChannelSettings, ResolvedChannel
@@ -40,6 +41,7 @@ from clvol.scene.transfer_layer import TransferLayer, TransferLayerSettings
 from clvol.scene.volume import VolumeSettings
 
 __all__ = [
+    "AmbientOcclusion",
     "Animation",
     "Camera",
     "ChannelSettings",

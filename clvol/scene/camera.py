@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from clvol.choice.view import View, axes_of, is_view, named_view
 from clvol.errors import SceneError
 from clvol.scene.image import ImageSettings
 from clvol.scene.table import Length, Number, Table, Vector, wrong
+from clvol.scene.triples import Triple, cross, difference, norm, scaled, triple, unit
 
 if TYPE_CHECKING:
     from clvol.volume import Grid
@@ -90,10 +91,10 @@ class Camera(Table):
                 raise wrong("view", self.view, "either a view or a position")
         if self.position is None or self.target is None:
             return self
-        forward = _unit(np.subtract(self.target, self.position))
-        if not forward.any():
+        forward = unit(difference(triple(self.target), triple(self.position)))
+        if not any(forward):
             raise wrong("position", list(self.position), "a position apart from the target")
-        if self.up is not None and _parallel(forward, _unit(self.up)):
+        if self.up is not None and _parallel(forward, unit(triple(self.up))):
             raise wrong("up", list(self.up), "a vector that is not parallel to the view")
         return self
 
@@ -134,41 +135,41 @@ class Camera(Table):
             towards_eye, side_up = chosen.towards_eye, chosen.up
         if self.position is not None:
             target = 0.5 * (corners.min(axis=0) + corners.max(axis=0)) if self.target is None else self.target
-            towards_eye = _unit(np.subtract(self.position, target))
-        if up is None and not _parallel(_unit(towards_eye), _unit(side_up)):
-            up = (float(side_up[0]), float(side_up[1]), float(side_up[2]))
+            towards_eye = np.array(unit(difference(triple(self.position), triple(target))))
+        if up is None and not _parallel(unit(triple(towards_eye)), unit(triple(side_up))):
+            up = triple(side_up)
         return self.model_copy(update={"up": up, "view": None})._completed(corners, image, where, towards_eye)
 
     def _completed(
-        self, corners: np.ndarray, image: ImageSettings, where: str, towards_eye: ArrayLike = _DEFAULT_TOWARDS_EYE
+        self, corners: np.ndarray, image: ImageSettings, where: str, towards_eye: Iterable[float] = _DEFAULT_TOWARDS_EYE
     ) -> Camera:
         """``complete`` with the world positions ``corners`` [n, 3] in view, from the direction ``towards_eye``."""
         centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
         target = centre if self.target is None else np.array(self.target)
         if self.position is None:
-            forward = -_unit(towards_eye)
+            forward = scaled(-1.0, unit(triple(towards_eye)))
         else:
-            forward = _unit(target - self.position)
-            if not forward.any():
+            forward = unit(triple(target - self.position))
+            if not any(forward):
                 expected = "a position apart from the target, by default the volume's centre"
                 got = f"got {list(self.position)}"
                 raise SceneError(f"{where}: camera.position", got, expected)
         up = self.up
         if up is None:
-            along_y = _parallel(forward, np.array([0.0, 1.0, 0.0]))
+            along_y = _parallel(forward, (0.0, 1.0, 0.0))
             up = (0.0, 0.0, 1.0) if along_y else (0.0, 1.0, 0.0)
-        elif _parallel(forward, _unit(up)):
+        elif _parallel(forward, unit(triple(up))):
             expected = "a vector that is not parallel to the view"
             raise SceneError(f"{where}: camera.up", f"got {list(up)}", expected)
 
-        axes = np.stack(_frame(forward, _unit(up)))
+        axes = np.array(_frame(forward, unit(triple(up))))
         aspect = image.width / image.height
         if self.position is None:
             ahead, right, above = axes @ (corners - target).T
             half = math.tan(math.radians(self.fov_degrees) / 2)
             needed = np.maximum(np.abs(above), np.abs(right) / aspect) / half - ahead
             radius = np.linalg.norm(corners - target, axis=1).max()
-            position = target - _MARGIN * max(needed.max(), radius) * forward
+            position = target - _MARGIN * max(needed.max(), radius) * axes[0]
         else:
             position = np.array(self.position)
         height = self.height
@@ -184,17 +185,29 @@ class Camera(Table):
             height=height,
         )
 
-    def basis(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(forward, right, up): three orthonormal float64 vectors [3] in world axes.
+    def axes(self) -> tuple[Triple, Triple, Triple]:
+        """(forward, right, up): three orthonormal vectors in world axes, as floats.
 
         Raises SceneError if position, target or up have not been filled in.
         """
-        for name in ("position", "target", "up"):
-            if getattr(self, name) is None:
-                expected = "a value; Camera.complete(grid, image) fills it in"
-                raise SceneError(f"scene: camera.{name}", "missing", expected)
-        forward = _unit(np.subtract(np.asarray(self.target), np.asarray(self.position)))
-        return _frame(forward, _unit(np.asarray(self.up)))
+        eye, target, up = self.eye(), self._filled_in("target"), self._filled_in("up")
+        return _frame(unit(difference(target, eye)), unit(up))
+
+    def eye(self) -> Triple:
+        """``position`` as floats; SceneError if it has not been filled in."""
+        return self._filled_in("position")
+
+    def _filled_in(self, name: str) -> Triple:
+        vector = getattr(self, name)
+        if vector is None:
+            expected = "a value; Camera.complete(grid, image) fills it in"
+            raise SceneError(f"scene: camera.{name}", "missing", expected)
+        return triple(vector)
+
+    def basis(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """As ``axes``, as float64 arrays [3]."""
+        forward, right, up = self.axes()
+        return np.array(forward), np.array(right), np.array(up)
 
     def height_of_view(self) -> float:
         """The height of an orthographic view in world units; SceneError if it has not been filled in."""
@@ -233,31 +246,11 @@ class Camera(Table):
         return np.broadcast_to(np.array(self.position), directions.shape).copy(), directions
 
 
-def _unit(vector: ArrayLike) -> np.ndarray:
-    """``vector`` [3] at length 1, or 0 if it is 0; it is scaled first, so that no square over- or underflows."""
-    given = np.asarray(vector, dtype=np.float64)
-    largest = np.abs(given).max()
-    if largest == 0:
-        return given
-    scaled = given / largest
-    return scaled / _norm(scaled)
+
+def _parallel(a: Triple, b: Triple) -> bool:
+    return norm(cross(a, b)) < _PARALLEL
 
 
-def _norm(vector: np.ndarray) -> float:
-    """``numpy.linalg.norm`` of a float64 [3], for a fifth of the time."""
-    return math.sqrt(vector.dot(vector))
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """``numpy.cross`` of two float64 [3], for a tenth of the time."""
-    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
-    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
-
-
-def _parallel(a: np.ndarray, b: np.ndarray) -> bool:
-    return _norm(_cross(a, b)) < _PARALLEL
-
-
-def _frame(forward: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    right = _unit(_cross(forward, up))
-    return forward, right, _cross(right, forward)
+def _frame(forward: Triple, up: Triple) -> tuple[Triple, Triple, Triple]:
+    right = unit(cross(forward, up))
+    return forward, right, cross(right, forward)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from clvol.scene.table import Number, Table, Whole
+from clvol.scene.table import AsTuple, Number, Table, Whole, wrong
 
 _BY_SEGMENTS = ("raycast",)  # one rule for all segments of a ray
 _BY_STEPS = ("raycast", "multiresolution", "pyramid", "slicing")
@@ -71,10 +71,24 @@ class Integration(Table):
         title="Even steps along a ray, or one rule per voxel cell that the ray crosses.",
         description="'steps' or 'cells'",
     )
-    filter: Literal["nearest", "linear", "cubic", "catmull-rom"] = Field(
+    filter: Literal[
+        "nearest", "linear", "cubic", "catmull-rom", "mitchell", "lanczos2", "lanczos3", "windowed-sinc", "table"
+    ] = Field(
         "linear",
-        title="Interpolation between voxels; 'cubic' is a B-spline, which smooths.",
-        description="'nearest', 'linear', 'cubic' or 'catmull-rom'",
+        title="Interpolation between voxels; 'cubic' is a B-spline, which smooths; 'table' is filter_table.",
+        description="'nearest', 'linear', 'cubic', 'catmull-rom', 'mitchell', 'lanczos2', 'lanczos3', "
+        "'windowed-sinc' or 'table'",
+    )
+    filter_table: Annotated[tuple[Number, ...], AsTuple] | None = Field(
+        None,
+        title="Weights of the filter 'table' at even distances, from 0 to filter_reach; a spline goes through them.",
+        description="4 to 4096 numbers, of which the first is above 0 and the last is 0",
+        examples=[[1.0, 0.5, 0.0, 0.0]],
+    )
+    filter_reach: Number = Field(
+        2.0, ge=1, le=3,
+        title="Distance in voxels at which filter_table ends.",
+        description="a number from 1 to 3",
     )
     prefilter: bool = Field(
         False,
@@ -146,3 +160,15 @@ class Integration(Table):
     @classmethod
     def table_name(cls) -> str:
         return "integration"
+
+    @model_validator(mode="after")
+    def _has_the_table_of_its_filter(self) -> Integration:
+        table = self.filter_table
+        if self.filter != "table":
+            if table is not None:
+                raise wrong("filter_table", list(table), f"no filter_table for the filter {self.filter!r}")
+            return self
+        if table is None or not 4 <= len(table) <= 4096 or table[0] <= 0 or table[-1] != 0:
+            expected = "4 to 4096 numbers, of which the first is above 0 and the last is 0, for the filter 'table'"
+            raise wrong("filter_table", None if table is None else list(table), expected)
+        return self

@@ -19,6 +19,7 @@ from clvol.readers import is_url, load_volume
 from clvol.readers.colored import load_colored
 from clvol.readers.options import ALL_TIMES
 from clvol.readers.series import file_series, files_of, is_pattern, series_name
+from clvol.scene.ambient_occlusion import AmbientOcclusion
 from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
 from clvol.scene.channel import ResolvedChannel
@@ -102,6 +103,7 @@ class ResolvedScene:
     gradient: GradientSettings = GradientSettings()
     environment: Environment | None = None
     shadow: Shadow | None = None
+    ambient_occlusion: AmbientOcclusion | None = None
     gradient_opacity: OpacityFactor | None = None
     directional_opacity: OpacityFactor | None = None
     transfer_layers: tuple[TransferLayer, ...] = ()
@@ -221,7 +223,7 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         integration=scene.integration,
         lights=tuple(light.found_in(scene.folder, scene.origin, k) for k, light in enumerate(scene.light)),
         isosurfaces=tuple(_surface(surface, decoded) for surface in scene.isosurface),
-        clips=scene.clip,
+        clips=tuple(clip.found_in(scene.folder, scene.origin, k) for k, clip in enumerate(scene.clip)),
         material=scene.material,
         multiresolution=scene.multiresolution,
         pyramid=scene.pyramid,
@@ -232,6 +234,7 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         gradient=scene.gradient,
         environment=environment,
         shadow=scene.shadow,
+        ambient_occlusion=scene.ambient_occlusion and scene.ambient_occlusion.complete(volume.grid),
         gradient_opacity=None if scene.gradient_opacity is None else scene.gradient_opacity.factor(),
         directional_opacity=None if scene.directional_opacity is None else scene.directional_opacity.factor(),
         transfer_layers=generated or _layers(scene, fields, unit, decoded),

@@ -84,7 +84,7 @@ class Scene(SceneTables):
     isosurface : sequence of Isosurface
         Surfaces where the volume has a value.
     clip : sequence of Clip
-        Planes, boxes and spheres that cut the volume.
+        Planes, boxes, spheres and closed meshes that cut the volume.
     compression : Compression
         The voxels as codes, which take less memory and are not exact.
     multiresolution : Multiresolution
@@ -101,6 +101,8 @@ class Scene(SceneTables):
         Light from all around, from a picture of it.
     shadow : Shadow, optional
         Shadows and forward scattering.
+    ambient_occlusion : AmbientOcclusion, optional
+        Less light where matter encloses a place.
     gradient_opacity : GradientOpacity, optional
         Factor on the extinction by gradient magnitude.
     directional_opacity : DirectionalOpacity, optional
@@ -371,8 +373,8 @@ class Scene(SceneTables):
     @property
     def input_paths(self) -> list[Path]:
         """The files and folders that the scene names: volume, fields and their label tables, environment, what
-        lights project, transfer function."""
-        named = [*self.field, *self.channel, self.environment, *self.light, self.transfer_function]
+        lights project, clips, transfer function."""
+        named = [*self.field, *self.channel, self.environment, *self.light, *self.clip, self.transfer_function]
         files = [getattr(table, "file", None) for table in named] + [field.labels_file for field in self.field]
         files += named_files(getattr(self.volume, "file", None), self._folder)
         return [self._folder / file for file in files if isinstance(file, str) and not is_url(file)]

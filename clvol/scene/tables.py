@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationInfo, WrapValidator, model_validator
 
+from clvol.scene.ambient_occlusion import AmbientOcclusion
 from clvol.scene.animation import Animation
 from clvol.scene.camera import Camera
 from clvol.scene.channel import LARGEST_CHANNELS, ChannelSettings
@@ -165,6 +166,11 @@ class SceneTables(Table):
         description=_TABLE,
     )
     shadow: Shadow | None = Field(None, title="Shadows, and forward scattering.", description=_TABLE)
+    ambient_occlusion: AmbientOcclusion | None = Field(
+        None,
+        title="Less light where matter encloses a place.",
+        description=_TABLE,
+    )
     gradient_opacity: GradientOpacity | None = Field(
         None,
         title="Factor on the extinction by gradient magnitude.",

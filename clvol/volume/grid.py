@@ -8,9 +8,10 @@ first voxel's centre.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,6 +21,24 @@ from clvol.errors import VolumeError
 _UNIT_TOLERANCE = 1e-3
 # Unit axes with a smaller determinant count as lying in one plane.
 _SINGULAR = 1e-6
+
+
+_Triple = tuple[float, float, float]
+
+
+class GridFloats(NamedTuple):
+    """A grid's numbers as Python's floats, for whoever computes with single points: a call of numpy costs more.
+
+    ``linear``: rows of the matrix from world vectors to index vectors; ``columns``: those of ``Grid.direction``.
+    ``middle`` of the domain in indices, ``centre`` in world units; ``half``: half its lengths along its own axes, in
+    world units.
+    """
+
+    linear: tuple[_Triple, _Triple, _Triple]
+    columns: tuple[_Triple, _Triple, _Triple]
+    middle: _Triple
+    centre: _Triple
+    half: _Triple
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -114,6 +133,17 @@ class Grid:
         thin = size == 1
         return np.stack([np.where(thin, -0.5, 0.0), np.where(thin, 0.5, size - 1.0)])
 
+    @cached_property
+    def in_floats(self) -> GridFloats:
+        """``GridFloats`` of this grid."""
+        lower, upper = self.index_bounds()
+        middle = 0.5 * (lower + upper)
+        centre = (self._index_to_world @ np.append(middle, 1.0))[:3]
+        half = 0.5 * (upper - lower) * np.asarray(self.spacing)
+        rows = self._world_to_index[:3, :3], self.direction.T
+        linear, columns = ((_floats(x), _floats(y), _floats(z)) for x, y, z in rows)
+        return GridFloats(linear, columns, _floats(middle), _floats(centre), _floats(half))
+
     def world_corners(self) -> np.ndarray:
         """(8, 3) float64: the domain's corners in world space, x changing fastest, then y, z."""
         return self._world_corners.copy()
@@ -138,6 +168,11 @@ class Grid:
 
     def __hash__(self) -> int:
         return hash((self.shape, self.spacing, self.origin, tuple(self.direction.ravel())))
+
+
+def _floats(vector: Iterable[float]) -> _Triple:
+    x, y, z = vector
+    return float(x), float(y), float(z)
 
 
 def _show(values: Sequence[float] | np.ndarray) -> str:

@@ -10,6 +10,7 @@ import pytest
 
 from bench import multiresolution as bench
 from bench.multiresolution_large import Turbulence, _scene
+from bench.multiresolution_paper import octree_levels
 from bench.multiresolution_parts import (
     HIGHEST,
     Bench,
@@ -294,3 +295,26 @@ def test_the_large_volume_is_told_and_judged():
     result = _result() | {"large": large}
     assert [verdict.is_met for verdict in verdicts(result)[-2:]] == [False, True]
     assert "107 MB/s" in show(result)
+
+
+# An octree in the same bytes
+
+
+def test_nodes_of_an_octree_stay_within_the_bytes_and_have_one_level():
+    random = np.random.default_rng(2)
+    counts, cost = (5, 6, 9), np.array([4096, 512, 64, 8, 0])
+    errors = np.cumsum(random.random((5, 270)).astype(np.float32), axis=0)
+    errors -= errors[0]
+    dropped = random.random(270) < 0.3
+    for spare in (0, 10_000, 200_000, 10**9):
+        levels, spent = octree_levels(errors, dropped, cost, counts, spare)
+        assert spent <= spare
+        shaped = levels.reshape(counts)
+        for at in np.ndindex(*counts):
+            level = shaped[at]
+            if level != DROPPED:  # all of its node
+                own = shaped[tuple(slice(k >> level << level, ((k >> level) + 1) << level) for k in at)]
+                assert (own == level).all()
+        assert not (levels[~dropped] == DROPPED).any()
+    assert (levels[~dropped] == 0).all()
+    assert (octree_levels(errors, np.ones(270, bool), cost, counts, 10**9)[0] == DROPPED).all()

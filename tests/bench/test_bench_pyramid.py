@@ -12,6 +12,7 @@ import pytest
 from bench import pyramid as bench
 from bench.curves import Reach
 from bench.options import Options
+from bench.pyramid_claims import _bilinear, _coarse, _kinks, _subdivided
 from bench.pyramid_parts import (
     PAPER_WAYS,
     Bench,
@@ -315,3 +316,23 @@ def test_without_volumes_nothing_is_measured(monkeypatch, tmp_path):
     assert bench.there(PYRAMID_SCENES, Options(), missing) == []
     assert missing == [scene.name for scene in PYRAMID_SCENES]
     assert all(not cases for cases in bench._cases(None, [], quick=True).values())
+
+
+# What the paper claims
+
+
+def test_synthesis_keeps_what_is_linear_and_is_bilinear_at_one_level():
+    y, x = np.mgrid[0:32, 0:32].astype(float)
+    random = np.random.default_rng(5).normal(size=(32, 32))
+    for grow in (_subdivided, _bilinear):
+        for level in (1, 2, 3):
+            made = grow(_coarse(2.0 * x - 3.0 * y, level), level)
+            inner = slice(2 << level, -(2 << level))
+            np.testing.assert_allclose(made[inner, inner], (2.0 * x - 3.0 * y)[inner, inner], atol=1e-9)
+    np.testing.assert_allclose(_subdivided(_coarse(random, 1), 1), _bilinear(_coarse(random, 1), 1), atol=1e-12)
+
+
+def test_bilinear_pieces_bend_where_they_meet():
+    random = np.random.default_rng(5).normal(size=(64, 64))
+    made = {grow: np.repeat(grow(_coarse(random, 3), 3)[..., None], 4, 2) for grow in (_subdivided, _bilinear)}
+    assert _kinks(made[_subdivided], 3) < 2.0 < _kinks(made[_bilinear], 3)

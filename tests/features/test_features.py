@@ -55,7 +55,7 @@ from clvol.features import (
 )
 from clvol.integrators.registry import check_scene
 from clvol.opencl.kernels_path import kernel_folder
-from clvol.opencl.structs import MOST_FIELDS, MOST_HALVES, MOST_NOISE_TERMS
+from clvol.opencl.structs import MOST_FIELDS, MOST_FILTER_TERMS, MOST_HALVES, MOST_NOISE_TERMS
 from clvol.scene.pyramid import MOST_LEVELS
 
 COUNTED = {
@@ -68,11 +68,13 @@ VOCABULARY = {
     "FILTER": FILTERS, "CLASSIFICATION": CLASSIFICATIONS, "GRADIENT": GRADIENTS, "COMPOSITING": COMPOSITINGS,
     "QUADRATURE": QUADRATURES, "STEPPING": STEPPINGS, "SLICES": SLICES,
     "ACCUMULATE": vocabulary.ACCUMULATE, "ORACLE": ORACLES, "SHADOWS": vocabulary.SHADOW_METHODS,
+    "DARKENS": vocabulary.DARKENS,
     "OPACITY_FACTOR": vocabulary.OPACITY_FACTORS, "FIELD": vocabulary.FIELD_ROLES,
     "LAYERS": vocabulary.TRANSFER_LAYERS, "NOISE_TARGET": vocabulary.NOISE_TARGETS,
     "LIGHT": vocabulary.LIGHTS, "CLIP": vocabulary.CLIPS,
     "CODEC": vocabulary.BLOCK_CODECS, "CELL": vocabulary.CELLS, "CODE": {"dropped": vocabulary.CODE_DROPPED},
-    "MOST": {"fields": MOST_FIELDS, "noise-terms": MOST_NOISE_TERMS, "halves": MOST_HALVES, "levels": MOST_LEVELS},
+    "MOST": {"fields": MOST_FIELDS, "noise-terms": MOST_NOISE_TERMS, "halves": MOST_HALVES, "levels": MOST_LEVELS,
+             "filter-terms": MOST_FILTER_TERMS},
 }  # fmt: skip
 
 
@@ -147,7 +149,7 @@ def test_what_has_a_consequence_is_called_for_and_stays(tables, names):
     kept = reduced(resolved)
     for table in ("integration", "clips", "isosurfaces", "fields", "noise", "depth_cue",
                   "gradient_opacity", "directional_opacity", "transfer_layers", "lights",
-                  "shadow", "animation", "gradient"):  # fmt: skip
+                  "shadow", "ambient_occlusion", "animation", "gradient"):  # fmt: skip
         assert getattr(kept, table) == getattr(resolved, table)
 
 

@@ -104,6 +104,8 @@ TABLES = st.fixed_dictionaries(
     },
     optional={
         "shadow": st.builds(dict, scattering=st.sampled_from([0.0, 0.5])),
+        "ambient_occlusion": st.builds(dict, directions=st.just(8), resolution=st.just(5), distance=st.just(4.0),
+                                       intensity=st.sampled_from([0.0, 0.6])),
         "gradient_opacity": st.sampled_from(
             [FADING, {"points": [{"magnitude": m, "opacity": o} for m, o in ((800, 1), (900, 0))]}]
         ),

@@ -246,6 +246,7 @@ EFFECTS = (
     EffectScene("cubic, prefiltered", _FILTER,
                 _fixed(integration={"filter": "cubic", "prefilter": True})),
     EffectScene("Catmull-Rom", _FILTER, _fixed(integration={"filter": "catmull-rom"})),
+    EffectScene("Mitchell", _FILTER, _fixed(integration={"filter": "mitchell"})),
     EffectScene("cubic, lit", _FILTER, _lit(integration={"filter": "cubic"}), _SHADED),
     EffectScene("Catmull-Rom, lit", _FILTER, _lit(integration={"filter": "catmull-rom"}), _SHADED),
     EffectScene("opaque surface", _SURFACE, _surface),
@@ -258,6 +259,8 @@ EFFECTS = (
     EffectScene("shadow volume", _SHADOW, _shadow(method="volume"), _SHADED),
     EffectScene("shadow rays", _SHADOW, _shadow(method="rays"), _SHADED),
     EffectScene("scattering", _SHADOW, _shadow(**_SCATTER), "shadow volume"),
+    EffectScene("ambient occlusion", _SHADOW,
+                _fixed(ambient_occlusion={"directions": 16, "resolution": 24, "darkens": "all"})),
     EffectScene("gradient opacity", _OPACITY, _gradient_opacity),
     EffectScene("directional opacity", _OPACITY, _directional_opacity),
     EffectScene("two-value function", _OPACITY, _two_layers),
@@ -280,7 +283,7 @@ EFFECTS = (
 )  # fmt: skip
 
 _TOGETHER = (
-    "three lights", "shading that fades", "scattering", "three surfaces", "environment, visible",
+    "three lights", "shading that fades", "scattering", "ambient occlusion", "three surfaces", "environment, visible",
     "gradient opacity", "directional opacity", "two-value function", "label field",
     "density field", "mask field", "clip plane", "clip box", "clip sphere", "noise, 4 octaves",
     "colour cycle", "depth cue",

@@ -38,6 +38,9 @@ CALLED = [
      ["lighting", "specular", "shadows", "gradients"]),
     ({"light": [SUN], "shadow": {"scattering": 0.4}},
      ["lighting", "specular", "shadows", "scattering", "gradients"]),
+    ({"ambient_occlusion": {"distance": 3.0}}, ["ambient occlusion"]),
+    ({"ambient_occlusion": {"distance": 3.0}, "isosurface": [{"value": 100.0}]},
+     ["isosurfaces", "gradients", "ambient occlusion"]),
     ({"light": [SPOT]}, ["lighting", "specular", "spot lights", "gradients"]),
     ({"isosurface": [{"value": 100.0}]}, ["isosurfaces"]),
     ({"isosurface": [{"value": 100.0, "opacity": 0.0, "refraction": 1.5}]},
@@ -62,6 +65,8 @@ CALLED = [
     ({"depth_cue": {}}, ["depth cueing"]),
     ({"integration": {"filter": "nearest"}}, ["nearest filter"]),
     ({"integration": {"filter": "catmull-rom"}}, ["catmull-rom filter"]),
+    ({"integration": {"filter": "lanczos3"}}, ["lanczos3 filter"]),
+    ({"integration": {"filter": "table", "filter_table": [1.0, 0.5, 0.1, 0.0]}}, ["table filter"]),
     ({"integration": {"filter": "cubic", "prefilter": True}}, ["cubic filter", "prefilter"]),
 ]  # fmt: skip
 
@@ -133,6 +138,9 @@ IDLE = [
     ({"gradient": {"operator": "sobel"}}, "sobel gradients", "nothing needs gradients"),
     ({"light": [SUN], "gradient": {"operator": "sobel"}, "integration": {"filter": "cubic"}},
      "sobel gradients", "the filter 'cubic' has a derivative of its own"),
+    ({"ambient_occlusion": {"intensity": 0.0}}, "ambient occlusion", "the ambient occlusion's intensity is 0"),
+    ({"ambient_occlusion": {}, "integration": {"compositing": "maximum"}},
+     "ambient occlusion", "maximum intensity projection is not lit"),
     ({"light": [SUN]}, "spot lights", "the scene has no spot light"),
     ({"light": [SUN]}, "image lights", "the scene has no image light"),
     ({"light": [SUN, SPOT | {"cone_degrees": 180.0, "penumbra": 0.0}]}, "spot lights", "in all directions alike"),

@@ -8,6 +8,7 @@ from numpy.polynomial import chebyshev
 from reference.surfaces import Crossings, crossings, in_order
 
 _DEGREES = {"linear": 3, "cubic": 9, "catmull-rom": 9}
+_OTHER = 24  # of kernels that are no polynomials: to within rounding
 _BISECTIONS = 60
 _AT_START = 1e-9  # world length
 _BEYOND = 1e-9  # of a jump: world length
@@ -72,7 +73,7 @@ def _jumps(field, origin, direction, ray, a, b, isovalues):
 
 def _roots(field, origin, direction, ray, a, b, isovalues, known_side):
     """The same of a field that is continuous, and on each stretch from a to b a polynomial."""
-    degree = _DEGREES[field.filter]
+    degree = _DEGREES.get(field.filter, _OTHER)
     nodes = chebyshev.chebpts1(degree + 1)
     t = a[:, None] + 0.5 * (nodes + 1.0) * (b - a)[:, None]
     at = origin[ray][:, None, :] + t[..., None] * direction[ray][:, None, :]

@@ -56,8 +56,10 @@ def _intersection(a: Stretches, b: Stretches) -> Stretches:
 
 
 def clip_stretches(clip, origin: np.ndarray, direction: np.ndarray) -> Stretches:
-    """What one clip keeps of each ray: one slot or two."""
+    """What one clip keeps of each ray: one slot or two; of a mesh, as many as it is crossed."""
     kind = getattr(clip, "type", "plane")
+    if kind == "mesh":
+        return _mesh(clip, origin, direction)
     if kind == "plane":
         return _plane(clip, origin, direction)
     if kind == "sphere":
@@ -105,6 +107,39 @@ def _sphere(clip, origin, direction):
     out_at_start = (nearest - half[:, None] * direction) / clip.radius
     out_at_end = (nearest + half[:, None] * direction) / clip.radius
     return start, end, out_at_start, -out_at_end
+
+
+def _mesh(clip, origin, direction) -> Stretches:
+    """Between the crossings of each ray with each triangle (Moeller and Trumbore 1997), sorted."""
+    corners = clip.mesh.vertices[clip.mesh.triangles]
+    first, edges = corners[:, 0], corners[:, 1:] - corners[:, :1]
+    across = np.cross(direction[:, None], edges[None, :, 1])
+    area = np.sum(edges[None, :, 0] * across, axis=2)
+    safe = np.where(area == 0, 1.0, area)
+    offset = origin[:, None] - first[None]
+    u = np.sum(offset * across, axis=2) / safe
+    other = np.cross(offset, edges[None, :, 0])
+    v = np.sum(direction[:, None] * other, axis=2) / safe
+    t = np.sum(edges[None, :, 1] * other, axis=2) / safe
+    meets = (area != 0) & (u >= 0) & (v >= 0) & (u + v <= 1)
+    t = np.where(meets, t, np.inf)
+    order = np.argsort(t, axis=1, kind="stable")
+    most = int(meets.sum(axis=1).max(initial=0))
+    t = np.take_along_axis(t, order, axis=1)[:, :most]
+    normals = np.cross(edges[:, 0], edges[:, 1])
+    normals = (normals / np.linalg.norm(normals, axis=1)[:, None])[order[:, :most]]
+    normals = np.where(np.sum(normals * direction[:, None], axis=2)[..., None] > 0, -normals, normals)
+    before, after = np.full((len(origin), 1), -np.inf), np.full((len(origin), 1), np.inf)
+    ends = np.concatenate([t, after], axis=1)
+    if clip.keep != "inside":
+        ends = np.concatenate([before, ends], axis=1)
+        normals = np.concatenate([np.zeros((len(origin), 1, 3)), normals], axis=1)
+    slots = ends.shape[1] // 2
+    if not slots:
+        none = np.full((len(origin), 1), np.inf)
+        return Stretches(none, none.copy(), np.zeros((len(origin), 1, 3)))
+    enter, leave = ends[:, 0 : 2 * slots : 2], ends[:, 1 : 2 * slots : 2]
+    return Stretches(enter.copy(), leave.copy(), normals[:, 0 : 2 * slots : 2].copy())
 
 
 def box_interval(origin, direction, lower, upper):

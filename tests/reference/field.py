@@ -117,6 +117,42 @@ def _catmull_rom_slope(u):
     )
 
 
+def _kernel(function, reach):
+    """Weights of a kernel of the distance, which are divided by their sum."""
+    def weights(u):
+        found = [function(np.abs(u - tap)) for tap in range(1 - reach, reach + 1)]
+        found = [np.where(np.abs(w) < 1e-14, 0.0, w) for w in found]
+        total = sum(found)
+        return tuple(w / total for w in found)
+
+    return weights
+
+
+def _slope_of(weights, h=1e-5):
+    """The derivative of weights, by differences of fourth order; kernels have one at whole places, too."""
+    def slopes(u):
+        parts = [weights(u + k * h) for k in (-2, -1, 1, 2)]
+        return tuple((a - 8 * b + 8 * c - d) / (12 * h) for a, b, c, d in zip(*parts))
+
+    return slopes
+
+
+def mitchell(x):
+    """Mitchell and Netravali 1988, equation 8, with B = C = 1/3."""
+    b = c = 1.0 / 3.0
+    near = (12 - 9 * b - 6 * c) * x**3 + (-18 + 12 * b + 6 * c) * x**2 + 6 - 2 * b
+    far = (-b - 6 * c) * x**3 + (6 * b + 30 * c) * x**2 + (-12 * b - 48 * c) * x + 8 * b + 24 * c
+    return np.where(x < 1, near, np.where(x < 2, far, 0.0)) / 6
+
+
+def _windowed(window):
+    return lambda x: np.sinc(x) * window(x)
+
+
+_LANCZOS2 = _windowed(lambda x: np.where(x < 2, np.sinc(x / 2), 0.0))
+_LANCZOS3 = _windowed(lambda x: np.where(x < 3, np.sinc(x / 3), 0.0))
+_HANN3 = _windowed(lambda x: np.where(x < 3, np.cos(np.pi * x / 6) ** 2, 0.0))
+
 # (filter, derivative): the first voxel from the one below, and the weights at u = 0 ... 1 above it.
 _WEIGHTS = {
     ("linear", False): (0, lambda u: (1.0 - u, u)),
@@ -126,6 +162,11 @@ _WEIGHTS = {
     ("catmull-rom", False): (-1, _catmull_rom),
     ("catmull-rom", True): (-1, _catmull_rom_slope),
 }
+for _name, _function, _reach in (
+    ("mitchell", mitchell, 2), ("lanczos2", _LANCZOS2, 2), ("lanczos3", _LANCZOS3, 3), ("windowed-sinc", _HANN3, 3),
+):  # fmt: skip
+    _WEIGHTS[_name, False] = (1 - _reach, _kernel(_function, _reach))
+    _WEIGHTS[_name, True] = (1 - _reach, _slope_of(_kernel(_function, _reach)))
 
 
 def spline_coefficients(voxels: np.ndarray, spacing=(1.0, 1.0, 1.0)) -> np.ndarray:
@@ -198,7 +239,7 @@ class Field:
         if filter == "cubic" and prefilter:
             voxels = spline_coefficients(voxels, volume.grid.spacing)
         self.value = GridSampler(voxels, volume.grid, filter)
-        self._is_analytic = filter in ("cubic", "catmull-rom")
+        self._is_analytic = (filter, True) in _WEIGHTS and filter != "linear"
         if not self._is_analytic:
             gradients = voxel_gradients(voxels, volume.grid, operator)
             self._gradient = GridSampler(gradients, volume.grid, filter)

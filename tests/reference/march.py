@@ -12,6 +12,7 @@ from reference.cell_crossings import medium_crossings
 from reference.clip import kept_stretches
 from reference.environment import EnvironmentMap
 from reference.medium import Medium
+from reference.occlusion import Occlusion
 from reference.project import Projection
 from reference.shade import Shader
 from reference.shadow import Shadows
@@ -94,7 +95,9 @@ class _March:
         self.longest = LONGEST_PATH * np.linalg.norm(np.ptp(self.medium.grid.world_corners(), axis=0))
         self.surfaces = resolved.isosurfaces if self.mode == "over" else ()
         shadows = None if resolved.shadow is None else Shadows(resolved, self.medium, step)
-        self.shader = Shader(resolved, self.environment, shadows)
+        over = self.mode == "over" and resolved.ambient_occlusion is not None
+        occlusion = Occlusion(resolved, self.medium) if over else None
+        self.shader = Shader(resolved, self.environment, shadows, occlusion)
 
     def render(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
         grid, clips = self.medium.grid, self.resolved.clips

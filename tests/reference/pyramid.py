@@ -18,7 +18,9 @@ from clvol.scene.resolve import ResolvedScene
 from reference.classify import MovedFunction, of_chord
 from reference.clip import kept_stretches
 from reference.field import Field
+from reference.medium import Medium, _factor, _finite_norm
 from reference.multiresolution import shifted_chord
+from reference.shade import Shader
 
 SLACK, WITHIN = 0.5, 1.6  # of cl/pyramid.h
 CHUNK = 8
@@ -85,6 +87,10 @@ class _March:
             field = Field(resolved.volume, integration.filter, prefilter=integration.prefilter)
             self.values = field.value
         self.function = MovedFunction(resolved.transfer_function)
+        self.shader = Shader(resolved, None, None)
+        self.factors = resolved.gradient_opacity, resolved.directional_opacity
+        self.needs_gradients = self.shader.lights_anything or any(f is not None for f in self.factors)
+        self.medium = Medium(resolved) if self.needs_gradients else None
         self.stop = 1.0 - integration.early_termination
         frame = ray_frame(resolved.camera, resolved.volume.grid, image.width, image.height)
         self.first_slice = frame.distance  # edges from the eye
@@ -134,6 +140,7 @@ class _March:
         self.alive = np.isfinite(enter) & (columns < self.width) & (rows < self.height)
         slices = [(np.where(self.alive, t, 0.0) / self.unit - self.first_slice) / self.step for t in (enter, leave)]
         self.enter, self.leave = slices
+        self.cut_normal = np.where(self.alive[..., None], kept.normal[:, 0].reshape(*shape, 3), 0.0)
         self.pixel_distance = np.zeros(shape)
         self.value1, self.value2, self.t1, self.t2 = (np.zeros(shape) for _ in range(4))
         self.first, self.second = np.ones(shape, bool), np.ones(shape, bool)
@@ -248,6 +255,7 @@ class _March:
             a = np.where(self.second, 1.0, self.t1 - self.t2)[closes]
             front, back = shifted_chord(before, self.value1[closes], value[closes], a, length)
             color, depth = of_chord(self.function, front, back, length * self.step * self.unit)
+            color, depth = self._look(closes, t - 0.5 * (t - self.t1), color, depth)
             opacity = -np.expm1(-depth)
             weight = (1.0 - self.rgba[closes, 3]) * opacity
             self.rgba[closes] += weight[:, None] * np.column_stack([color, np.ones(len(color))])
@@ -256,3 +264,22 @@ class _March:
         self.value1[part], self.t1[part] = value[part], t[part]
         self.first &= ~part
         self.alive &= ~(part & ((t >= self.leave) | (self.rgba[..., 3] >= self.stop)))
+
+    def _look(self, closes: np.ndarray, middle: np.ndarray, color: np.ndarray, depth: np.ndarray):
+        """(colour [n, 3], lit and cued, optical depth [n]) of segments whose middles are on slices ``middle``."""
+        scene, direction = self.resolved, self.direction[closes]
+        way = (self.first_slice + middle[closes] * self.step) * self.unit
+        place = self.origin[closes] + way[:, None] * direction
+        if self.needs_gradients:
+            gradient = self.medium.gradient(place)
+            along = np.abs(np.sum(np.where(np.isfinite(gradient), gradient, 0.0) * direction, axis=1))
+            for factor, of in zip(self.factors, (_finite_norm(gradient), along)):
+                depth = depth if factor is None else depth * _factor(factor, of)
+            normal = self.cut_normal[closes]
+            share = np.clip(1.0 - (middle - self.enter)[closes] * self.step, 0.0, 1.0)
+            share = np.where(np.any(normal != 0, axis=1), share, 0.0)
+            color = self.shader.lit(color, place, gradient, direction, cut_normal=normal, cut_share=share)
+        if (cue := scene.depth_cue) is not None:
+            share = np.clip((way - cue.start) / (cue.end - cue.start), 0.0, 1.0) * cue.strength
+            color = color + share[:, None] * (np.asarray(cue.color, float) - color)
+        return color, depth

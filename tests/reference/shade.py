@@ -17,13 +17,15 @@ def lights_that_shine(resolved) -> list:
 
 
 class Shader:
-    """The lit colour of samples and surfaces. ``shadows``: a ``shadow.Shadows``, or None."""
+    """The lit colour of samples and surfaces. ``shadows``: a ``shadow.Shadows``, ``occlusion``: an
+    ``occlusion.Occlusion``, or None."""
 
-    def __init__(self, resolved, environment, shadows) -> None:
+    def __init__(self, resolved, environment, shadows, occlusion=None) -> None:
         self.material = resolved.material
         self.lights = lights_that_shine(resolved)
         self.environment = environment
         self.shadows = shadows
+        self.occlusion = occlusion
 
     @property
     def lights_anything(self) -> bool:
@@ -40,7 +42,7 @@ class Shader:
         instead of the gradient's. ``surface`` int [n]: the iso-surface that the place lies on.
         """
         if not self.lights_anything:
-            return color
+            return self._without_light(color, at, gradient, surface)
         slope = np.linalg.norm(gradient, axis=1)
         known = np.isfinite(slope) & (slope > 0)
         strength = known.astype(float)
@@ -62,7 +64,8 @@ class Shader:
         if self.material.two_sided:
             normal = np.where((np.sum(normal * view, axis=1) < 0)[:, None], -normal, normal)
         shown = strength > 0
-        out = color.copy()
+        unlit = color if self.occlusion is None else color * self.occlusion.share(at)[:, None]
+        out = unlit.copy()
         if shown.any():
             lit = self._reflected(
                 color[shown], at[shown], normal[shown], gradient[shown], view[shown],
@@ -70,8 +73,20 @@ class Shader:
                 None if surface is None else surface[shown],
             )  # fmt: skip
             share = strength[shown, None]
-            out[shown] = (1.0 - share) * color[shown] + share * lit
+            out[shown] = (1.0 - share) * unlit[shown] + share * lit
         return out
+
+    def _without_light(self, color, at, gradient, surface):
+        """Colours of a scene without lights."""
+        if self.occlusion is None:
+            return color
+        share = self.occlusion.share(at)
+        slope = np.linalg.norm(gradient, axis=1)
+        known = np.isfinite(slope) & (slope > 0)
+        if surface is not None and known.any():
+            normal = -gradient[known] / slope[known, None]
+            share[known] = self.occlusion.share(at[known], normal, True)
+        return color * share[:, None]
 
     def _reflected(self, color, at, normal, gradient, view, weight, surface):
         m = self.material
@@ -94,12 +109,16 @@ class Shader:
             arriving = shadow * color_in
             light_diffuse += np.where(reached, cosine, 0.0)[:, None] * arriving
             highlight += np.where(reached, shine, 0.0)[:, None] * arriving
-        lit = color * (m.ambient + m.diffuse * light_diffuse) + m.specular * highlight
+        ambient, seen = 1.0, 1.0
+        if self.occlusion is not None:
+            left = self.occlusion.share(at, normal, surface is not None)[:, None]
+            ambient, seen = (left, 1.0) if self.occlusion.settings.darkens == "ambient" else (1.0, left)
+        lit = color * (m.ambient * ambient + m.diffuse * light_diffuse) + m.specular * highlight
         if self.environment is not None:
             reflected = 2.0 * np.sum(normal * view, axis=1)[:, None] * normal - view
-            lit += color * m.diffuse * self.environment.diffuse(normal)
+            lit += color * m.diffuse * ambient * self.environment.diffuse(normal)
             lit += m.specular * self.environment.specular(reflected, m.shininess)
-        return lit
+        return seen * lit
 
 
 def aimed(light, along: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from clvol.integrators.multiresolution.view_weight import BlockAxes, block_axes
-from clvol.scene.clip import Clip
+from clvol.scene.clip import Clip, MeshClip
 from clvol.store.geometry import BlockGrid
 from clvol.volume.grid import Grid
 
@@ -25,6 +25,13 @@ def removed_blocks(clips: Sequence[Clip], grid: Grid, blocks: BlockGrid) -> np.n
     """bool [n]: blocks of which the clips keep nothing, nor of what is within 2 voxels of them."""
     removed = np.zeros(blocks.counts, bool)
     for clip in clips:
+        if isinstance(clip, MeshClip):  # of a mesh the box around it is known to hold what it keeps
+            if clip.keep == "outside":
+                continue
+            low, high = (corner.tolist() for corner in clip.mesh.bounds)
+            if not all(a < b for a, b in zip(low, high)):
+                continue
+            clip = Clip(type="box", lower=low, upper=high)
         axes = block_axes(np.asarray(_centre(clip), np.float64), grid, blocks)
         for z in range(blocks.counts[0]):
             layer = slice(z, z + 1)
@@ -104,6 +111,8 @@ def _kept(clips: Sequence[Clip], at: np.ndarray) -> np.ndarray:
     """bool [k]: world points ``at`` [k, 3] that the clips keep."""
     kept = np.ones(len(at), bool)
     for clip in clips:
+        if isinstance(clip, MeshClip):
+            continue
         if clip.type == "box":
             inside = np.all((at >= np.asarray(clip.lower)) & (at <= np.asarray(clip.upper)), axis=1)
         elif clip.type == "plane":

@@ -32,7 +32,12 @@ _KEYS = {
     "classification": ("preintegrated",),
     "compositing": ("over",),
 }
-_EFFECTS = PLAIN | {"cubic filter", "catmull-rom filter", "prefilter", "clipping", "colour cycling"}
+_EFFECTS = PLAIN | {
+    "cubic filter", "catmull-rom filter", "prefilter", "clipping", "colour cycling", "lighting", "specular",
+    "spot lights", "image lights",
+    "environment", "environment background", "shadows", "scattering", "gradients", "sobel gradients",
+    "precomputed gradients", "gradient opacity", "directional opacity", "depth cueing",
+}  # fmt: skip
 
 
 class Pyramid(WholeVolume):
@@ -57,6 +62,7 @@ class Pyramid(WholeVolume):
             expected = "planes and boxes that keep what is inside, 16 planes in all, or the method 'raycast'"
             raise SceneError(f"{origin}: clip", what, expected)
         refuse_effects(resolved, "integration.method", self.name, "raycast", _EFFECTS)
+        _check_shadows(resolved)
         refuse_quadrature(resolved)
         check_resident(resolved)
 
@@ -82,6 +88,19 @@ class Pyramid(WholeVolume):
         if (bricks := bricks_for(shared, resolved)) is not None:
             return BrickPyramidCaster(shared.context, resolved, bricks)
         return PyramidCaster(shared.context, resolved, volume=device_volume(shared, resolved))
+
+
+def _check_shadows(resolved: ResolvedScene) -> None:
+    """SceneError for shadows that need rays of their own, and for those of what is clipped."""
+    scene = reduced_for_frames(resolved)
+    if scene.shadow is None:
+        return
+    if scene.shadow.method == "rays":
+        what = "got 'rays' with the method 'pyramid', whose maps of empty space are not those of shadow rays"
+        raise SceneError(f"{resolved.origin}: shadow.method", what, "'volume', or the method 'raycast'")
+    if scene.clips:
+        what = "got 'pyramid' in a scene with clips and shadows, of which its light volume would know none"
+        raise SceneError(f"{resolved.origin}: integration.method", what, "'raycast', or a scene without one of them")
 
 
 INTEGRATOR = Pyramid()

@@ -11,7 +11,7 @@ import numpy as np
 from clvol.device.arguments import Arguments
 from clvol.device.transfer_lookup import cycled_function, device_function
 from clvol.errors import RenderError
-from clvol.features import ORACLES
+from clvol.features import ORACLES, is_lit
 from clvol.features.vocabulary import PYRAMID_COUNTERS
 from clvol.integrators.pyramid.cells import padded_cells, way_map
 from clvol.integrators.pyramid.clips import halves_rows
@@ -63,15 +63,17 @@ class SliceMarch:
         self.free_shape: tuple[int, int, int]
         self.free_shift: int
         self._halves = np.zeros((0, 4))  # half-spaces that clips keep
+        self._cut_faces: dict[str, int] = {}
         self.plan: SlicePlan  # of the frame that was announced last
 
     def adopt(self, resolved: ResolvedScene) -> ResolvedScene:
         if resolved.clips:
             self._halves = halves_rows(resolved.clips, resolved.volume.grid)
+        self._cut_faces = cut_face_switches(resolved)
         return without_clips(resolved)
 
     def switches(self) -> dict[str, int]:
-        return march_switches(self.oracle, self.workers, self.tile, self.leap)
+        return {**march_switches(self.oracle, self.workers, self.tile, self.leap), **self._cut_faces}
 
     def local_size(self, lanes: int) -> tuple[int]:
         return (self.workers,)
@@ -151,7 +153,7 @@ class SliceMarch:
             view=caster.volume_view(),
             switches={name: caster.switches[name] for name in _OF_VOXELS}
             | {"WARPED_CLASSES": int(caster.nodes.warp is not None)},
-            epsilon=scene.pyramid.epsilon,
+            epsilon=scene.pyramid.epsilon / brightest(scene),
             opacity_edges=grid.smallest_edge / function.opacity_unit,
             shift=shift,
             edges=(float(spacing[0]), float(spacing[1]), float(spacing[2])),
@@ -196,6 +198,20 @@ def _check_slices(scene: ResolvedScene, camera: Camera, length: float) -> None:
 def without_clips(resolved: ResolvedScene) -> ResolvedScene:
     """The scene for the caster: the march handles clips itself."""
     return replace(resolved, clips=()) if resolved.clips else resolved
+
+
+def brightest(resolved: ResolvedScene) -> float:
+    """How many times as large an error of a reduced scene's colours may be under its lights as without, at least 1."""
+    if not is_lit(resolved):
+        return 1.0
+    material = resolved.material
+    arriving = sum((light.intensity * np.asarray(light.color, np.float64) for light in resolved.lights), np.zeros(3))
+    return max(1.0, material.ambient + (material.diffuse + material.specular) * float(arriving.max()))
+
+
+def cut_face_switches(resolved: ResolvedScene) -> dict[str, int]:
+    """The switch (-D) of a reduced scene whose clips cut faces that are lit."""
+    return {"CUT_FACES": 1} if resolved.clips and is_lit(resolved) else {}
 
 
 def workers_for(lanes: int) -> int:

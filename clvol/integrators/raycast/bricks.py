@@ -213,6 +213,11 @@ class BrickCaster(Raycaster):
         self._hold(self.needed, "the light volume")
         super()._build_shadows()
 
+    def _build_occlusion(self) -> None:
+        if self.effects.switches.get("AMBIENT_OCCLUSION"):
+            self._hold(self.needed, "the ambient occlusion")
+        super()._build_occlusion()
+
     @property
     def _reach(self) -> np.ndarray:
         """Voxels (z, y, x) from a visible cell to what a ray may sample because of it."""

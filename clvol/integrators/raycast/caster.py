@@ -17,6 +17,7 @@ from clvol.device.function_tables import function_tables
 from clvol.device.light_volume import METHODS, fill_light_volume, shadow_step
 from clvol.device.memory import Perturbation
 from clvol.device.noise import perturbation
+from clvol.device.occlusion_volume import fill_occlusion_volume
 from clvol.device.opacity_factors import layer_functions, shown_function
 from clvol.device.projection import hidden_score
 from clvol.device.transfer_lookup import color_shift, cycled_function, device_function, scene_nodes
@@ -28,7 +29,7 @@ from clvol.integrators.base import FrameData, Progress, Shared
 from clvol.integrators.raycast.cell_depths import cell_depths
 from clvol.integrators.raycast.coherent_parts import parts_from_history
 from clvol.integrators.raycast.constant_cells import changing_cells
-from clvol.integrators.raycast.frame_view import frame_view, volume_view
+from clvol.integrators.raycast.frame_view import VolumePart, frame_view, volume_view
 from clvol.integrators.raycast.history import COHERENT_ARGUMENTS, History, render_from_history
 from clvol.integrators.raycast.listed import listed_by_tiles
 from clvol.integrators.raycast.march import March, RayMarch
@@ -88,6 +89,7 @@ class Raycaster:
     octant_cells = 0  # as many, where a map per octant follows (cl/skip_empty.h); the maps of effects are alike
     visible_nodes: tuple[np.ndarray, np.ndarray]  # ``between`` and ``at`` of ``visible_mask``
     shown: np.ndarray  # bool [z, y, x]: cells in which anything can be seen
+    volume_part: VolumePart | None = None
 
     def __init__(
         self,
@@ -143,8 +145,7 @@ class Raycaster:
             mask |= self._surface_cells()
         if resolved.integration.compositing != "over":  # a mean may be a value that occurs in no cell
             mask = np.full_like(mask, visible.any() or at_nodes.any())
-            mode = resolved.integration.compositing
-            self.effects.set_hidden(hidden_score(mode, self.gate))
+            self.effects.set_hidden(hidden_score(resolved.integration.compositing, self.gate))
         fields = self.effects.switches and self.effects.fields
         if fields:
             mask = (mask | fields.shown) & fields.kept
@@ -168,6 +169,8 @@ class Raycaster:
         self.light_volume_samples = 0
         if self._casts_shadows:
             self._build_shadows()
+        self.occlusion_samples = 0
+        self._build_occlusion()
         self._follow_data()
         if self.switches.get("CONSTANT_CELLS"):
             self.effects.set_constant(distance_map(context, changing_cells(self), bool(self.octant_cells)))
@@ -197,6 +200,15 @@ class Raycaster:
             view = self.volume_view()
             self.effects.arrays["light_volume"], self.light_volume_samples = fill_light_volume(
                 self.context, self.resolved, self.switches, view, variant, {**self._scene_arrays(), **arrays}
+            )
+
+    def _build_occlusion(self) -> None:
+        """Finds the ambient occlusion, where there is one. No camera changes it."""
+        effects = self.effects
+        if effects.switches.get("AMBIENT_OCCLUSION") and self.visible_share:
+            arrays = {**self._scene_arrays(), **effects.arrays}
+            effects.arrays["occlusion"], self.occlusion_samples = fill_occlusion_volume(
+                self.context, self.resolved, self.switches, self.volume_view(), effects.numbers, arrays
             )
 
     def _scene_arrays(self) -> dict[str, DeviceArray]:
@@ -260,6 +272,8 @@ class Raycaster:
         moved = later and bool(resolved.noise or resolved.attenuation_noise)  # cycling moves no opacity
         if other._casts_shadows and (moved or shadow_step(resolved) != shadow_step(self.resolved)):
             other._build_shadows()
+        if moved:
+            other._build_occlusion()
         other.without_surfaces = other._beside_surfaces()
         other.march = self.march.for_scene(other, self)
         return other
@@ -462,7 +476,10 @@ class Raycaster:
         """Sums by name of what tiles counted: ``counts`` uint32 [tiles, names]."""
         sums = counts.sum(axis=0, dtype=np.uint64)
         named = {name: int(total) for name, total in zip(self._counter_names, sums)}
-        return self.effects.counted(named) if self.effects.switches else named
+        if not self.effects.switches:
+            return named
+        named = self.effects.counted(named)
+        return {**named, "occlusion_samples": self.occlusion_samples} if self.occlusion_samples else named
 
     def _most_samples(self) -> float:
         grid = self.resolved.volume.grid

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
 _REACH = 1  # voxels beyond a cell that a gradient in it depends on
 _WORTH = 0.2  # share of the cells that show something; looking costs rays that find nothing a few percent
-_CHANGES = ("CLIP", "DEPTH_CUE", "NOISE")  # effects under which a constant field does not look constant
+# Effects under which a constant field does not look constant.
+_CHANGES = ("CLIP", "DEPTH_CUE", "NOISE", "AMBIENT_OCCLUSION")
 
 
 def uses_constant_cells(
@@ -34,7 +35,7 @@ def uses_constant_cells(
     volume = resolved.volume
     if not switches.get("SEGMENT_OPACITIES") or not switches["LIGHTING"] or not switches["TRANSLUCENT"]:
         return False
-    if any(switches[name] for name in _CHANGES):
+    if any(switches.get(name) for name in _CHANGES):
         return False
     if isinstance(volume, LazyVolume) and (isinstance(volume, UndecodedVolume) or not volume.is_read):
         return False

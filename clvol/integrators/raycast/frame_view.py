@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from clvol.device.view import RayFrame
 from clvol.errors import RenderError
+from clvol.features.kernels import filter_terms
 from clvol.transfer.step_opacity import step_opacity
 
 if TYPE_CHECKING:
     from clvol.integrators.raycast.caster import Raycaster
 
+# Of float32.
+_LARGEST, _SMALLEST = float(np.finfo(np.float32).max), float(np.finfo(np.float32).smallest_subnormal)
+# Members of a ``View`` that values or a unit of length may push beyond float32.
+_FINITE = ("step", "stop_opacity", "first_value", "nodes_per_value", "last_node", "warp_bins")
 _VECTORS = ("plane_origin", "plane_du", "plane_dv", "ray_forward", "ray_du", "ray_dv")
-# Members of a ``View``, beside its vectors, that a camera or a unit of length may push beyond float32.
-_FINITE = (
-    "tangent", "centre", "step", "plane_distance", "stop_opacity", "edge_length",
-    "first_value", "nodes_per_value", "last_node", "warp_bins",
-)  # fmt: skip
 
 
 def frame_view(caster: Raycaster, frame: RayFrame, width: int, height: int) -> np.ndarray:
@@ -26,38 +27,70 @@ def frame_view(caster: Raycaster, frame: RayFrame, width: int, height: int) -> n
 
     RenderError where camera or units leave the range of float32.
     """
-    row = (view := np.zeros(1, caster.view_dtype))[0]
-    sources = (frame.origin, frame.du, frame.dv, frame.forward, frame.ray_du, frame.ray_dv)
-    with np.errstate(over="ignore", under="ignore"):
-        for name, source in zip(_VECTORS, sources):
-            row[name][:3] = source
-        row["tangent"], row["centre"] = frame.lens, frame.centre
-        _describe_volume(caster, row)
-        row["plane_distance"], row["edge_length"] = frame.distance, frame.unit
-        row["deepest"] = 0.0 if caster.resolved.coherence.mode == "off" else _deepest(caster, frame)
-        row["stop_opacity"] = 1.0 - caster.resolved.integration.early_termination
-    finite = [np.isfinite(row[name]).all() for name in (*_VECTORS, *_FINITE)]
-    if not all(finite) or not min(row["step"], row["edge_length"]) > 0:
+    known = _volume_part(caster)
+    deepest = 0.0 if caster.resolved.coherence.mode == "off" else _deepest(caster, frame)
+    vectors = frame.origin, frame.du, frame.dv, frame.forward, frame.ray_du, frame.ray_dv
+    numbers = [number for vector in vectors for number in vector.tolist()]
+    numbers += [*frame.lens, *frame.centre, frame.distance, frame.unit, deepest]
+    if not (known.is_finite and frame.unit > _SMALLEST and all(abs(number) <= _LARGEST for number in numbers)):
         where = f"{caster.resolved.origin}: camera"
         raise RenderError(where, "numbers beyond float32", "a camera and units nearer to 1")
-    row["image"], row["tile"] = (width, height), caster.tile
+    view = known.view.copy()
+    view.view(np.float32)[_places(caster.view_dtype)] = numbers
+    view["image"], view["tile"] = (width, height), caster.tile
     return view
+
+
+@lru_cache
+def _places(dtype: np.dtype) -> np.ndarray:
+    """Where the numbers of a frame's rays are among the float32 numbers of a ``View``."""
+    lengths = {**dict.fromkeys(_VECTORS, 3), "tangent": 2, "centre": 2}
+    lengths |= dict.fromkeys(("plane_distance", "edge_length", "deepest"), 1)
+    assert dtype.fields is not None
+    return np.concatenate([dtype.fields[name][1] // 4 + np.arange(n) for name, n in lengths.items()])
 
 
 def _deepest(caster: Raycaster, frame: RayFrame) -> float:
     """Edges from the reference plane to the farthest corner of the volume, with a margin."""
-    to_edges = np.asarray(caster.resolved.volume.grid.spacing) / frame.unit
-    along = to_edges * (to_edges * frame.forward)  # of unit length in edges
-    corners = np.stack([-frame.origin, np.asarray(caster.volume.size) - 1 - frame.origin])
-    farthest = float((corners * along).max(axis=0).sum())
-    return max(1.001 * farthest + 1.0, 0.0)
+    farthest = 0.0
+    axes = frame.origin.tolist(), frame.forward.tolist(), caster.resolved.volume.grid.spacing, caster.volume.size
+    for origin, forward, spacing, size in zip(*axes):
+        to_edges = spacing / frame.unit
+        along = to_edges * (to_edges * forward)  # of unit length in edges
+        farthest += max(-origin * along, (size - 1 - origin) * along)
+    return min(max(1.001 * farthest + 1.0, 0.0), _LARGEST)
 
 
 def volume_view(caster: Raycaster) -> np.ndarray:
     """``View`` [1] with the members that do not depend on the camera."""
-    view = np.zeros(1, caster.view_dtype)
-    _describe_volume(caster, view[0])
-    return view
+    return _volume_part(caster).view.copy()
+
+
+class VolumePart(NamedTuple):
+    """What ``View`` says of a scene whatever the camera, kept from frame to frame. ``source``: the objects that it was
+    made from. ``is_finite``: whether all of it lies within float32."""
+
+    source: tuple[object, ...]
+    view: np.ndarray
+    is_finite: bool
+
+
+def _volume_part(caster: Raycaster) -> VolumePart:
+    volume = caster.volume
+    source = (
+        caster.resolved, volume, caster.nodes, caster.gate, caster.spans, caster.step_units, caster.pieces,
+        caster.map_cells, caster.map_shift, caster.octant_cells, caster.view_dtype,
+        volume.values, volume.size, volume.stride, volume.switches, volume.view_fields,
+    )  # fmt: skip
+    known = caster.volume_part
+    if known is None or any(a is not b for a, b in zip(known.source, source)):
+        view = np.zeros(1, caster.view_dtype)
+        row = view[0]
+        with np.errstate(over="ignore", under="ignore"):
+            _describe_volume(caster, row)
+        finite = all(np.isfinite(row[name]).all() for name in _FINITE) and row["step"] > 0
+        known = caster.volume_part = VolumePart(source, view, bool(finite))
+    return known
 
 
 def _describe_volume(caster: Raycaster, row: np.void) -> None:
@@ -73,7 +106,11 @@ def _describe_volume(caster: Raycaster, row: np.void) -> None:
     row["step_units"] = caster.step_units
     terms, row["opacity_limit"] = step_opacity(float(row["step_units"]))
     row["opacity_terms"], row["opacity_more"] = terms[:4], terms[4:]
+    weights = filter_terms(caster.resolved.integration)
+    if weights is not None:
+        row["filter_terms"] = weights.reshape(-1, 4)
     row["cell_parts"] = parts_of_cell(step)
+    row["stop_opacity"] = 1.0 - caster.resolved.integration.early_termination
     row["ray_tolerance"] = caster.resolved.image.ray_tolerance
     if volume.switches["VOXEL_BITS"] == 64:
         row["voxel_bias_double"], row["voxel_gain_double"] = volume.values.bias, volume.values.gain

@@ -53,6 +53,8 @@ class Raycast(WholeVolume):
             programs["listed_rays.cl"] = switches
         if switches.get("SHADOWS") == METHODS["volume"]:
             programs["light_volume.cl"] = switches
+        if switches.get("AMBIENT_OCCLUSION"):
+            programs["occlusion_volume.cl"] = switches
         if switches.get("GRADIENT") == GRADIENTS["precomputed"]:
             programs["gradients.cl"] = storing_switches(switches, resolved.gradient.operator)
         return programs

@@ -168,9 +168,11 @@ class WholePicture(_Picture):
             if self._depth:
                 context.take(self._stages[0].outputs["depths"])
         own = slice(None) if chosen is None else chosen
-        taken = sum(int(context.take(stage.outputs["samples"])[own].sum(dtype=np.uint64)) for stage in self._stages)
-        rgba = context.take(last.outputs["image"])
-        distances = context.take(last.outputs["depths"]) if self._depth else None
+        names = ("image", "depths") if self._depth else ("image",)
+        arrays = [last.outputs[name] for name in names] + [stage.outputs["samples"] for stage in self._stages]
+        rgba, *others = context.take_all(arrays)
+        distances = others.pop(0) if self._depth else None
+        taken = sum(int(samples[own].sum(dtype=np.uint64)) for samples in others)
         if len(self._stages) == 1 and (self._listed is None or last.tiles >= _MANY_TILES):
             self._caster.took(last.kernel, last.tiles, perf_counter() - begun)
         counters = {}

@@ -27,6 +27,7 @@ _LEAST_DISTANCE = 0.5  # edges from an eye to anything that may be visible
 _LEAST_SPLAT = 3  # so that each pixel has those around it, and no place near means nothing to see
 _SAME = 0.05  # pixels that do not count
 _NEVER = 1e6  # edges per pixel where nothing moves
+_CORNERS = np.indices((2, 2, 2)).reshape(3, 8).T  # of a box: whether at its upper end
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,14 +53,28 @@ def is_perspective(frame: RayFrame) -> bool:
     return frame.lens[0] != 0.0
 
 
+def _lines(coefficients: np.ndarray, old: RayFrame, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """float64 [2, 3, n]: of the rays of old pixels what ``coefficients`` give at the old reference plane, and per edge
+    behind it."""
+    terms = np.stack([np.ones_like(x), x - old.centre[0], y - old.centre[1]])
+    return (coefficients.reshape(3, 2, 3) @ terms).swapaxes(0, 1)
+
+
+def _on_lines(lines: np.ndarray, new: RayFrame, s: float | np.ndarray) -> np.ndarray:
+    """float64 [2, n]: new pixel coordinates of places at depth ``s`` on ``lines``; NaN for those behind the new eye."""
+    depth, across, down = lines[0] + s * lines[1]
+    from_eye = np.where(new.distance + depth > 0, new.distance + depth, np.nan) if is_perspective(new) else 1.0
+    return np.stack([across / from_eye + new.centre[0], down / from_eye + new.centre[1]])
+
+
 def moved(coefficients: np.ndarray, old: RayFrame, new: RayFrame, x, y, s) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """New pixel coordinates (x, y) and depth behind the new reference plane of places at depth ``s`` behind the old
-    plane on the rays of the old pixels (``x``, ``y``). NaN for what is behind the new eye."""
-    u, v = x - old.centre[0], y - old.centre[1]
-    terms = np.stack(np.broadcast_arrays(1.0, u, v, s, s * u, s * v))
-    depth, across, down = np.tensordot(coefficients, terms, 1)
-    from_eye = np.where(new.distance + depth > 0, new.distance + depth, np.nan) if is_perspective(new) else 1.0
-    return across / from_eye + new.centre[0], down / from_eye + new.centre[1], depth
+    plane on the rays of the old pixels (``x``, ``y``), all of one shape. NaN for what is behind the new eye."""
+    lines = _lines(coefficients, old, np.ravel(x), np.ravel(y))
+    s = np.ravel(s) if np.ndim(s) else s
+    new_x, new_y = _on_lines(lines, new, s)
+    depth = lines[0, 0] + s * lines[1, 0]
+    return new_x.reshape(np.shape(x)), new_y.reshape(np.shape(x)), depth.reshape(np.shape(x))
 
 
 def plan_move(
@@ -75,7 +90,7 @@ def plan_move(
     if is_perspective(old) != is_perspective(new):
         return "another projection"
     coefficients = change_of_camera(old, new)
-    corners = np.array([[bounds[k][axis] for axis, k in enumerate(np.unravel_index(n, (2, 2, 2)))] for n in range(8)])
+    corners = np.where(_CORNERS, bounds[1], bounds[0])
     x, y, depths = _seen(old, corners)
     _, _, new_depths = _seen(new, corners)
     near, far = depths.min(), depths.max()
@@ -88,8 +103,10 @@ def plan_move(
     left, right = np.clip([x.min(), x.max()], 0, old_size[0] - 1)
     top, bottom = np.clip([y.min(), y.max()], 0, old_size[1] - 1)
     columns, rows = np.linspace(left, right, _GRID), np.linspace(top, bottom, _GRID)
-    at_x, at_y = np.add.outer(columns, [0, 1, 0])[:, None], np.add.outer(rows, [0, 0, 1])[None]
-    seen = np.stack(moved(coefficients, old, new, at_x, at_y, np.array([near, far])[:, None, None, None])[:2])
+    at_x = (np.repeat(columns, _GRID)[:, None] + [0, 1, 0]).ravel()
+    at_y = (np.tile(rows, _GRID)[:, None] + [0, 0, 1]).ravel()
+    lines = _lines(coefficients, old, at_x, at_y)
+    seen = np.stack([_on_lines(lines, new, s) for s in (near, far)]).reshape(2, 2, -1, 3).swapaxes(0, 1)
     parallax = seen[:, 0, ..., 0] - seen[:, 1, ..., 0]
     if not np.isfinite(seen).all():
         return "motion"
@@ -103,7 +120,7 @@ def plan_move(
         window += [int(np.floor(low)) - size + 1, int(np.ceil(high))]
     if max(map(abs, window)) > MARGIN:
         return "motion"
-    behind = _edges_behind(coefficients, old, new, at_x[..., 0], at_y[..., 0], (near, far))
+    behind = _edges_behind(lines[:, :, ::3], new, (near, far))
     if behind is None:
         return "motion"
     numbers = np.zeros(MOVE, np.float32)
@@ -120,27 +137,23 @@ def plan_move(
     return Move(numbers, (window[0], window[1], window[2], window[3]), inside)
 
 
-def _edges_behind(
-    coefficients: np.ndarray, old: RayFrame, new: RayFrame, x: np.ndarray, y: np.ndarray, depths: tuple[float, float]
-) -> tuple[float, float] | None:
-    """Edges, at least, by which a place is farther behind the new reference plane than another one on the same old ray
-    for each pixel, of columns and of rows, between them in the new picture: halves, since a sum of both is taken for
-    the larger one. ``x``, ``y``: old pixels. None where a place farther behind the old plane is nearer to the new
-    one."""
-    terms = np.stack(np.broadcast_arrays(1.0, x - old.centre[0], y - old.centre[1]))
-    at_plane, along = np.tensordot(coefficients[:, :3], terms, 1), np.tensordot(coefficients[:, 3:], terms, 1)
+def _edges_behind(lines: np.ndarray, new: RayFrame, depths: tuple[float, float]) -> np.ndarray | None:
+    """float64 [2]: edges, at least, by which a place is farther behind the new reference plane than another one on the
+    same old ray for each pixel, of columns and of rows, between them in the new picture: halves, since a sum of both is
+    taken for the larger one. ``lines``: of old rays. None where a place farther behind the old plane is nearer to the
+    new one."""
+    at_plane, along = lines
     if along[0].min() <= 0:
         return None
     rates = np.zeros(2)
     for s in depths:  # the rate of a homography is largest at one of them
-        from_eye = new.distance + at_plane[0] + s * along[0] if is_perspective(new) else np.ones_like(along[0])
-        turns = along[0] if is_perspective(new) else 0.0
-        for axis in (0, 1):
-            place = at_plane[axis + 1] + s * along[axis + 1]
-            rate = (along[axis + 1] * from_eye - place * turns) / (from_eye**2 * along[0])
-            rates[axis] = max(rates[axis], _SLACK * float(np.abs(rate).max()))
-    columns, rows = (float(np.minimum(0.5 / np.maximum(rate, 1e-30), _NEVER)) for rate in rates)
-    return columns, rows
+        if not is_perspective(new):
+            rate = along[1:] / along[0]
+        else:
+            from_eye = new.distance + at_plane[0] + s * along[0]
+            rate = (along[1:] * from_eye - (at_plane[1:] + s * along[1:]) * along[0]) / (from_eye**2 * along[0])
+        rates = np.maximum(rates, np.abs(rate).max(axis=1))
+    return np.minimum(0.5 / np.maximum(_SLACK * rates, 1e-30), _NEVER)
 
 
 def _seen(frame: RayFrame, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -139,7 +139,7 @@ def test_a_ray_alone_sees_what_a_packet_sees(context, place, name):
 def test_all_but_exclusive_effects_are_called_for_together(place):
     exclusive = {
         "projection", "precomputed gradients", "sobel gradients", "prefilter", "nearest filter",
-        "cubic filter", "catmull-rom filter",
+        "cubic filter", "catmull-rom filter", "mitchell filter",
     }  # fmt: skip
     asked = {name for e in EFFECTS for name in called_for(scene_of(e.tables(place)))}
     assert asked - set(called_for(scene_of(together(place)))) == exclusive
