@@ -16,6 +16,7 @@
 /* A further volume (fields.h). */
 typedef struct {
   float4 x, y, z;      /* lattice point of the volume to the field's: rows of the matrix, with the shift in w */
+  float4 lower, upper; /* x, y, z: where the field's domain ends, in its lattice points */
   int4 size;           /* x, y, z: lattice points */
   int role;            /* FIELD_... */
   int first_voxel;     /* in `fields` */
@@ -72,7 +73,8 @@ typedef struct {
 
 /* Reported to the host (struct_fields.h). */
 #define FIELD_FIELDS  \
-  STRUCT(Field), FIELD(Field, x), FIELD(Field, y), FIELD(Field, z), FIELD(Field, size), FIELD(Field, role), \
+  STRUCT(Field), FIELD(Field, x), FIELD(Field, y), FIELD(Field, z), FIELD(Field, lower), FIELD(Field, upper), \
+  FIELD(Field, size), FIELD(Field, role), \
   FIELD(Field, first_voxel), FIELD(Field, table), FIELD(Field, piece_columns), FIELD(Field, piece_count), \
   FIELD(Field, has_pole), FIELD(Field, edge_units), FIELD(Field, threshold), FIELD(Field, side)
 #define EFFECTS_FIELDS NOISE_TERM_FIELDS, FIELD_FIELDS, \

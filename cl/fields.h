@@ -28,17 +28,18 @@ INLINE FieldPlace place_in_field(const Scene *scene, int k, floatN x, floatN y, 
 {
   __constant const Effects *e = scene->effects;
   const float4 ax = e->fields[k].x, ay = e->fields[k].y, az = e->fields[k].z;
-  const float4 upper = convert_float4(e->fields[k].size) - 1.0f;
+  const float4 lower = e->fields[k].lower, upper = e->fields[k].upper;
+  const float4 last = convert_float4(e->fields[k].size) - 1.0f;
   FieldPlace p;
   p.x = ax.x * x + ax.y * y + ax.z * z + ax.w;
   p.y = ay.x * x + ay.y * y + ay.z * z + ay.w;
   p.z = az.x * x + az.y * y + az.z * z + az.w;
-  p.inside = MASK(p.x >= -OUTER_MARGIN) & MASK(p.x <= upper.x + OUTER_MARGIN);
-  p.inside &= MASK(p.y >= -OUTER_MARGIN) & MASK(p.y <= upper.y + OUTER_MARGIN);
-  p.inside &= MASK(p.z >= -OUTER_MARGIN) & MASK(p.z <= upper.z + OUTER_MARGIN);
-  p.x = lane_clamp(p.x, (floatN)0.0f, (floatN)upper.x);
-  p.y = lane_clamp(p.y, (floatN)0.0f, (floatN)upper.y);
-  p.z = lane_clamp(p.z, (floatN)0.0f, (floatN)upper.z);
+  p.inside = MASK(p.x >= lower.x - OUTER_MARGIN) & MASK(p.x <= upper.x + OUTER_MARGIN);
+  p.inside &= MASK(p.y >= lower.y - OUTER_MARGIN) & MASK(p.y <= upper.y + OUTER_MARGIN);
+  p.inside &= MASK(p.z >= lower.z - OUTER_MARGIN) & MASK(p.z <= upper.z + OUTER_MARGIN);
+  p.x = lane_clamp(p.x, (floatN)0.0f, (floatN)last.x);
+  p.y = lane_clamp(p.y, (floatN)0.0f, (floatN)last.y);
+  p.z = lane_clamp(p.z, (floatN)0.0f, (floatN)last.z);
   return p;
 }
 

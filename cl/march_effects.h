@@ -79,6 +79,9 @@
 #define SAMPLES_AHEAD (FETCH_AHEAD && CLASSIFICATION != CLASSIFICATION_PRE && TRANSLUCENT && !NOISE && !BLOCKS && !CURVED_RAYS)
 #define AHEAD (CLASSIFICATION == CLASSIFICATION_POST ? 0.5f : 1.0f)
 
+/* Values of blocks are taken for several segments at a time. */
+#define VALUES_IN_RUNS (BLOCKS && TRANSLUCENT && !NOISE && !CURVED_RAYS)
+
 /* Between looks at the map of empty space, and at where rays that turn go on. */
 #if CURVED_RAYS
 #define STRAIGHT_STEPS 1
@@ -247,6 +250,10 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
     find_surfaces(scene, &walk, alive & MASK(i <= last), h * TO_FLOAT(i + MARCH_STEPS), &taken,
                   &counted[COUNT_SURFACE_TESTS]);
 #endif
+#if VALUES_IN_RUNS
+    floatN values[MARCH_STEPS];
+    values_of_segments(scene, &ray, i, last, NEEDS_ENDS, alive & MASK(i <= last), values);
+#endif
     _Pragma("unroll 1") for (int step = 0; step < (ONE_SEGMENT ? 1 : STRAIGHT_STEPS); ++step) {
       const intN active = alive & MASK(i <= last);
       const floatN t0 = TO_FLOAT(i), t1 = ONE_SEGMENT ? ray.length : lane_min(t0 + 1.0f, ray.length);
@@ -287,6 +294,8 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
         const FetchedSample sample = fetch_sample(volume, view, x, y, z);
         const floatN value = sample_value(sample, view);
         if (!TRANSFER_LAYERS && k == 2) e = classified_emission(sample, view, table);
+#elif VALUES_IN_RUNS
+        const floatN value = k ? values[step] : scene_value(scene, x, y, z);
 #else
         const floatN value = scene_value(scene, x, y, z);
 #endif

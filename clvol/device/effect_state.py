@@ -162,7 +162,10 @@ class EffectState:
             diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
             numbers["longest_path"] = LONGEST_PATH * diagonal / self.space.unit
         if resolved.fields:
-            self.fields = SceneFields(self.context, resolved, volume.cells, place, numbers, volume.cell_layout)
+            levels = volume.field_levels(resolved)
+            self.fields = SceneFields(
+                self.context, resolved, volume.cells, place, numbers, volume.cell_layout, levels
+            )
             self.arrays["fields"] = self.fields.voxels
         if any(table.size for table in tables):
             self.arrays["factors"] = self.context.upload(np.concatenate(tables))
@@ -192,7 +195,7 @@ class EffectState:
         numbers["noise_reach"][:3] = 0.5 * grid.smallest_edge / np.asarray(grid.spacing)
 
     def _add_projection(self, resolved: ResolvedScene, volume: ResidentVolume) -> None:
-        moved = perturbation(resolved.noise, resolved.volume.grid, self._value_gain)
+        moved = perturbation(resolved.noise, resolved.volume.grid, self._value_gain, volume.cell_shift)
         numbers = self.numbers[0]
         numbers["lowest_sample"], numbers["highest_sample"] = sample_bounds(volume, resolved, moved)
         numbers["lowest_value"], numbers["values_per_range"] = normalisation(volume, resolved)

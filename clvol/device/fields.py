@@ -15,6 +15,7 @@ from clvol.device.transfer_lookup import device_function
 from clvol.device.voxel_colors import packed_colors
 from clvol.errors import VolumeError
 from clvol.features.vocabulary import FIELD_ROLES
+from clvol.store.volume_blocks import VolumeBlocks
 from clvol.transfer import TransferFunction
 from clvol.transfer.lookup_nodes import LookupNodes, lookup_nodes, visible_cells
 from clvol.transfer.pieces import has_opaque_point, piece_count, piece_table
@@ -24,12 +25,13 @@ if TYPE_CHECKING:
     from clvol.opencl.context import DeviceContext
     from clvol.scene.field import ResolvedField
     from clvol.scene.resolve import ResolvedScene
-    from clvol.volume import Grid
+    from clvol.volume import Grid, Volume
 
 _DENSITY_NODES = 4096
 _ROUNDING = 4e-6  # of a linear interpolation in float32, as a share of the largest value
 _MARGIN = 0.02  # voxels of the volume that a sample may be off its cell, generously
 _FINEST_SHIFT = 1e-9  # voxels: anything below that is rounding of the affine maps
+_FEWEST, _COARSEST = 2, 4  # samples per axis that a field is left, and the coarsest level of blocks
 _CELLS_TOGETHER = 1 << 20  # of which boxes are looked at
 T = TypeVar("T")
 
@@ -68,9 +70,11 @@ class SceneFields:
         place: Callable[[np.ndarray], int],
         numbers: np.ndarray,
         layout: CellLayout = LATTICE_CELLS,
+        levels: Sequence[int] | None = None,
     ) -> None:
-        _check_fits(context, resolved)
-        parts = [_Part(field, resolved.volume.grid) for field in resolved.fields]
+        levels = levels or [0] * len(resolved.fields)
+        _check_fits(context, field_bytes(resolved, levels))
+        parts = [_Part(field, resolved.volume.grid, level) for field, level in zip(resolved.fields, levels)]
         numbers["field_count"] = len(parts)
         edge = resolved.volume.grid.smallest_edge
         begin = 0
@@ -79,6 +83,7 @@ class SceneFields:
             for axis, name in enumerate("xyz"):
                 row[name] = (*part.matrix[axis], part.shift[axis])
             row["size"][:3] = part.voxels.shape[::-1]
+            row["lower"][:3], row["upper"][:3] = part.lower, part.upper
             row["role"], row["first_voxel"] = FIELD_ROLES[part.field.role], begin
             begin += part.voxels.size
             part.fill(row, place, edge)
@@ -92,24 +97,44 @@ class SceneFields:
 
 
 def kept_blocks(
-    fields: Sequence[ResolvedField], grid: Grid, counts: tuple[int, int, int], edge: int, margin: float
+    fields: Sequence[tuple[ResolvedField, int]], grid: Grid, counts: tuple[int, int, int], edge: int, margin: float
 ) -> np.ndarray:
     """bool [bz, by, bx]: blocks of ``edge`` voxels of ``grid`` of which, and of ``margin`` voxels around, all masks
-    among ``fields`` keep something. ``counts``: blocks (z, y, x)."""
+    among ``fields``, with their levels, keep something. ``counts``: blocks (z, y, x)."""
     kept, layout = np.ones(counts, bool), CellLayout(edge, -0.5)
-    for field in fields:
+    for field, level in fields:
         if field.role == "mask":
-            kept &= _Part(field, grid).mask_cells((counts[2], counts[1], counts[0]), layout, margin)
+            kept &= _Part(field, grid, level).mask_cells((counts[2], counts[1], counts[0]), layout, margin)
     return kept
 
 
-def field_bytes(resolved: ResolvedScene) -> int:
-    """Bytes on the device for the voxels of all fields."""
-    return 4 * sum(math.prod(padded_size(field.volume)) for field in resolved.fields)
+def field_bytes(resolved: ResolvedScene, levels: Sequence[int] | None = None) -> int:
+    """Bytes on the device for the voxels of all fields; ``levels``: of the fields (``field_levels``); None: all 0."""
+    return sum(_bytes_at(field, level) for field, level in zip(resolved.fields, levels or [0] * len(resolved.fields)))
 
 
-def _check_fits(context: DeviceContext, resolved: ResolvedScene) -> None:
-    needed = field_bytes(resolved)
+def field_levels(resolved: ResolvedScene, most_bytes: int) -> list[int]:
+    """Levels at which the fields of a scene take at most ``most_bytes``, as far as that is possible: the largest one
+    goes first. Labels and colours, of which there is no mean, and axes of few voxels stay as they are."""
+    levels = [0] * len(resolved.fields)
+    while field_bytes(resolved, levels) > most_bytes:
+        sizes = [
+            (_bytes_at(field, level), k)
+            for k, (field, level) in enumerate(zip(resolved.fields, levels))
+            if field.role in ("density", "mask") and min(field.volume.shape) >> (level + 1) >= _FEWEST
+            and level < _COARSEST
+        ]  # fmt: skip
+        if not sizes:
+            break
+        levels[max(sizes)[1]] += 1
+    return levels
+
+
+def _bytes_at(field: ResolvedField, level: int) -> int:
+    return 4 * math.prod(-(-n >> level) if level else n for n in padded_size(field.volume))
+
+
+def _check_fits(context: DeviceContext, needed: int) -> None:
     largest = min(int(context.device.max_mem_alloc_size), 4 * LARGEST_OFFSET)
     if needed > largest:
         what = f"the voxels of all fields need {needed} bytes as float32 on {context.name}"
@@ -117,14 +142,19 @@ def _check_fits(context: DeviceContext, resolved: ResolvedScene) -> None:
 
 
 class _Part:
-    """One field. ``voxels`` float32 [z, y, x]; ``matrix`` float64 [3, 3] and ``shift`` [3]: from
-    lattice points of the volume to its own."""
+    """One field, of which a sample stands for 2^``level`` voxels along each axis. ``voxels`` float32 [z, y, x];
+    ``matrix`` float64 [3, 3] and ``shift`` [3]: from lattice points of the volume to its own. ``lower`` and ``upper``
+    [3]: where its domain ends."""
 
-    def __init__(self, field: ResolvedField, grid: Grid) -> None:
+    def __init__(self, field: ResolvedField, grid: Grid, level: int = 0) -> None:
         self.field = field
         self.values = ValueMap() if field.role in ("label", "color") else value_map(field.volume)
-        self.voxels = _voxels(field, self.values)
-        self.matrix, self.shift = between_lattices(grid, field.volume.grid)
+        self.voxels = _voxels(field, self.values, level)
+        matrix, shift = between_lattices(grid, field.volume.grid)
+        size = float(1 << level)
+        self.matrix, self.shift = matrix / size, (shift + 0.5) / size - 0.5 if level else shift
+        last = np.asarray(padded_size(field.volume)) - 1.0
+        self.lower, self.upper = ((at + 0.5) / size - 0.5 for at in (np.zeros(3), last))
 
     def fill(self, row: np.void, place: Callable[[np.ndarray], int], edge: float) -> None:
         """Fills in the members of the struct ``Field`` that depend on the role. ``edge``: world length of the volume's
@@ -177,7 +207,7 @@ class _Part:
         for first in range(0, cells[2], layers):
             part = slice(first, first + layers)
             middle, reach = cell_boxes(cells, self.matrix, self.shift, layout, part, margin)
-            around = around or BoundsAround(self.voxels, reach)
+            around = around or BoundsAround(self.voxels, reach, self.lower, self.upper)
             low[part], high[part] = around(middle)
         rounding = np.where(low < high, _ROUNDING * np.maximum(np.abs(low), np.abs(high)), 0.0)
         return low - rounding, high + rounding
@@ -194,9 +224,9 @@ class _Bounds:
         return self.low, self.high
 
 
-def _voxels(field: ResolvedField, values: ValueMap) -> np.ndarray:
+def _voxels(field: ResolvedField, values: ValueMap, level: int = 0) -> np.ndarray:
     """float32 [z, y, x] as cl/fields.h expects them; axes of one voxel are doubled."""
-    data = field.volume.data
+    data = field.volume.data if level == 0 else _coarser(field.volume, level)
     if field.role == "label":
         voxels = _label_codes(data, _present(field.labels))
     elif field.role == "color":
@@ -208,6 +238,19 @@ def _voxels(field: ResolvedField, values: ValueMap) -> np.ndarray:
     for axis, n in enumerate(voxels.shape):
         voxels = np.repeat(voxels, 2, axis=axis) if n == 1 else voxels
     return np.ascontiguousarray(voxels)
+
+
+def _coarser(volume: Volume, level: int) -> np.ndarray:
+    """[z, y, x]: the samples of all blocks of ``volume`` at ``level``; of a store they are read from it."""
+    source = getattr(volume, "blocks_source", None) or VolumeBlocks(volume)
+    blocks = source.blocks
+    side, (bz, by, bx) = blocks.samples(level), blocks.counts
+    out = np.empty((bz * side, by * side, bx * side), source.dtype)
+    for z in range(bz):
+        numbers = np.arange(z * by * bx, (z + 1) * by * bx)
+        layer = source.read(level, numbers).reshape(by, bx, side, side, side).transpose(2, 0, 3, 1, 4)
+        out[z * side : (z + 1) * side] = layer.reshape(side, by * side, bx * side)
+    return out[tuple(slice(-(-n >> level)) for n in volume.shape)]
 
 
 def _present(value: T | None) -> T:
@@ -260,10 +303,15 @@ class BoundsAround:
     """Smallest and largest finite voxel of ``voxels`` [z, y, x] that interpolation within ``reach`` [3] of places uses,
     perhaps with a few more voxels."""
 
-    def __init__(self, voxels: np.ndarray, reach: np.ndarray) -> None:
+    def __init__(
+        self, voxels: np.ndarray, reach: np.ndarray, lower: np.ndarray | None = None, upper: np.ndarray | None = None
+    ) -> None:
+        """``lower``, ``upper`` [3]: where the domain ends; None: with the outermost voxels."""
         from scipy import ndimage  # importing it takes a tenth of a second, which scenes without fields save
 
         self._upper, self._reach = np.array(voxels.shape[::-1]) - 1, reach
+        self._from = np.zeros(3) if lower is None else lower
+        self._to = self._upper if upper is None else upper
         # From the voxel before the lowest position to the one beyond the highest.
         count = np.minimum(np.ceil(2.0 * np.minimum(reach, 1e9)) + 2, self._upper + 1).astype(np.int64)
         size = tuple(int(n) for n in count[::-1])
@@ -275,7 +323,7 @@ class BoundsAround:
 
     def __call__(self, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """float64 [...], of places ``middle`` [..., 3] (x, y, z); low > high where there is none."""
-        meets = np.all((middle + self._reach >= 0) & (middle - self._reach <= self._upper), axis=-1)
+        meets = np.all((middle + self._reach >= self._from) & (middle - self._reach <= self._to), axis=-1)
         first = np.clip(np.floor(middle - self._reach), 0, self._upper).astype(np.int64)
         places = tuple(first[..., axis] for axis in (2, 1, 0))
         low, high = (bound[places].astype(np.float64) for bound in self._bounds)

@@ -158,12 +158,14 @@ def displacement_bound(noise: Noise) -> float:
     return _bound(noise, slice(0, 3)) if noise.target == "coordinate" else 0.0
 
 
-def perturbation(noises: Iterable[Noise], grid: Grid, value_gain: float = 1.0) -> Perturbation:
-    """Bounds of the effect of all ``noises`` together, for leaping over cells."""
+def perturbation(
+    noises: Iterable[Noise], grid: Grid, value_gain: float = 1.0, cell_shift: int = CELL_SHIFT
+) -> Perturbation:
+    """Bounds of the effect of all ``noises`` together, for leaping over cells of 2^``cell_shift`` lattice units."""
     noises = list(noises)
     moved = sum(displacement_bound(noise) for noise in noises) / np.asarray(grid.spacing)
     # Lattice units, limited to the size of the largest volumes.
-    cells = np.ceil(np.minimum(moved + _PLACE_ROUNDING, 2.0**31) / (1 << CELL_SHIFT))
+    cells = np.ceil(np.minimum(moved + _PLACE_ROUNDING, 2.0**31) / (1 << cell_shift))
     x, y, z = (int(n) for n in np.where(moved > 0, cells, 0).astype(np.int64))
     return Perturbation(sum(value_bound(noise) for noise in noises) * value_gain, (x, y, z))
 

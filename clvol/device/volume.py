@@ -17,6 +17,7 @@ from clvol.device.voxel_boxes import BoxPlace, VoxelBox
 from clvol.errors import VolumeError
 from clvol.opencl.arguments import INT4, RAW, reads, value, writes
 from clvol.opencl.context import DeviceArray, DeviceContext
+from clvol.scene.resolve import ResolvedScene
 from clvol.volume import Volume
 from clvol.volume.voxel_layout import (
     CELL_SHIFT,
@@ -64,6 +65,10 @@ class ResidentVolume:
     def cell_layout(self) -> CellLayout:
         """Where the cells are."""
         return CellLayout(1 << self.cell_shift)
+
+    def field_levels(self, resolved: ResolvedScene) -> list[int]:
+        """Levels at which the fields of a reduced scene go with the volume."""
+        return [0] * len(resolved.fields)
 
     @property
     def value_range(self) -> tuple[float, float]:

@@ -130,7 +130,7 @@ NOISE_TERM = struct(
 """``NoiseTerm`` of cl/noise.h."""
 
 FIELD = struct(
-    ("float4", "x y z"),
+    ("float4", "x y z lower upper"),
     ("int4", "size"),
     ("int", "role first_voxel table piece_columns piece_count has_pole"),
     ("float", "edge_units threshold side"),

@@ -439,7 +439,8 @@ def check_memory(resolved: ResolvedScene, cap: int | None) -> None:
     integrator, volume = integrator_of(resolved), resolved.volume
     scenes = channel_scenes(resolved)
     needed = sum(integrator.device_bytes(each.volume, each) + light_volume_bytes(each) for each in scenes)
-    needed += field_bytes(resolved) + sum(map(occlusion_bytes, scenes))
+    needed += sum(map(occlusion_bytes, scenes))
+    needed += 0 if integrator.reads_blocks else field_bytes(resolved)  # they are in the memory for blocks
     if needed > cap:
         what = f"needs {needed} bytes on the device, pictures and tables included"
         expected = f"at most the memory cap of {cap} bytes" + integrator.memory_advice(resolved)[1]

@@ -80,6 +80,9 @@ SCENES = {
     "reference": (BYTES, nothing, {"method": "reference"}),
     "pyramid": (BYTES, nothing, {"method": "pyramid", "classification": "preintegrated"}),
     "multiresolution": (BYTES, nothing, {"method": "multiresolution"}),
+    "maximum of blocks": (BYTES, effects("maximum"), {"method": "multiresolution"}),
+    "blocks, masked and noisy": (
+        BYTES, effects("mask field", "noise, 4 octaves", "clip box"), {"method": "multiresolution"}),
     "slicing": (BYTES, nothing, {"method": "slicing"}),
     "half-angle slices": (BYTES, half_angle, {"method": "slicing"}),
 }  # fmt: skip
@@ -99,7 +102,8 @@ def frame_on(device, name: str, place: Place):
 
 # Whose kernels Intel's compiler takes most of a minute and more to optimise.
 LONG = {"shadow rays", "environment of a cube", "scattering", "multiresolution", "fields and clips",
-        "Sobel gradients, opacity by gradient", "half-angle slices"}  # fmt: skip
+        "Sobel gradients, opacity by gradient", "half-angle slices", "maximum of blocks",
+        "blocks, masked and noisy"}  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -107,7 +107,7 @@ def test_no_voxel_of_a_store_is_read_that_is_not_in_a_wanted_block(
     [
         ("render", "v.zarr", "-o", "a.png", "--set", "integration.filter='cubic'"),
         ("render", "holes.zarr", "-o", "a.png", "--set", "volume.nan=0"),
-        ("explain", "v.zarr", "--set", "noise.0.target='value'", "--set", "noise.0.amplitude=3"),
+        ("explain", "v.zarr", "--set", "integration.quadrature='cells'"),
     ],
 )
 def test_what_is_refused_is_so_before_voxels_are_read(
@@ -146,7 +146,6 @@ def test_a_memory_that_is_named_as_the_least_is_enough(run, refused, stores, dev
         (["integration.voxel_precision='uint8'"], "voxel_precision: got 'uint8' with the method"),
         (["isosurface.0.value=100", "isosurface.0.refraction=1.2", "isosurface.0.opacity=0.5"],
          "that calls for refraction, expected 'raycast'"),
-        (["noise.0.target='value'", "noise.0.amplitude=3"], "that calls for noise, expected"),
     ],
 )
 def test_what_the_method_does_not_do_is_one_line_in_every_command(

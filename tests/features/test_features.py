@@ -580,7 +580,7 @@ def test_the_reference_refuses_what_it_does_not_reconstruct():
 @pytest.mark.parametrize(
     "key, got",
     [("filter", "nearest"), ("filter", "cubic"), ("quadrature", "cells"),
-     ("classification", "pre")],
+     ("classification", "pre"), ("voxel_precision", "uint8")],
 )  # fmt: skip
 def test_blocks_refuse_what_they_are_not_rendered_by(key, got):
     check_scene(scene_with(integration={"method": "multiresolution"}))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from clvol.device.arguments import Arguments, block_arguments, view_argument
-from clvol.device.fields import CellLayout
+from clvol.device.fields import CellLayout, field_levels
 from clvol.device.volume import ResidentVolume
 from clvol.features import CLASSIFICATIONS, FILTERS
 from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
@@ -21,6 +21,11 @@ HeldBlocks = DeviceBlocks | ResidentCodes
 
 _MORE = ["samples1", "samples2", "samples3"]
 _LAYERS = 8  # parts of the volume whose ranges are computed one after another
+
+
+def levels_of_fields(resolved: ResolvedScene) -> list[int]:
+    """Levels of the fields of a reduced scene, which are to take at most a quarter of the memory."""
+    return field_levels(resolved, resolved.multiresolution.memory_bytes // 4)
 
 
 def blocks_struct(grid: BlockGrid) -> np.ndarray:
@@ -68,6 +73,10 @@ class BlockedVolume(ResidentVolume):
     def cell_layout(self) -> CellLayout:
         """As in ``ResidentVolume``: blocks begin half a voxel before the first one's centre."""
         return CellLayout(1 << self.cell_shift, -0.5)
+
+    def field_levels(self, resolved: ResolvedScene) -> list[int]:
+        """As in ``ResidentVolume``."""
+        return levels_of_fields(resolved)
 
     @property
     def _fine_cells(self) -> tuple[int, int, int]:

@@ -14,7 +14,7 @@ from clvol.device.arguments import (
     view_argument,
 )
 from clvol.device.effect_state import COUNTERS
-from clvol.device.empty_space import dilated, distance_map
+from clvol.device.empty_space import dilated, distance_map, surface_mask, visible_mask
 from clvol.device.projection import hidden_score
 from clvol.device.transfer_lookup import device_function, scene_nodes, segment_classification
 from clvol.device.view import ray_frame
@@ -39,6 +39,7 @@ from clvol.transfer import TransferFunction
 from clvol.transfer.lookup_nodes import visible_cells
 from clvol.transfer.pieces import shown_spans, value_gate
 from clvol.transfer.step_bounds import most_steps
+from clvol.volume.voxel_layout import CELL_SHIFT
 
 # Switches of kernels that work on blocks and cast no rays.
 _OF_BLOCKS = (
@@ -131,10 +132,17 @@ class BlockCaster(Raycaster):
         if stepping != self.stepping:
             self.stepping = stepping
             self._set_switches()
-        if self.resolved.integration.compositing == "over":
-            found = self._cells_that_show(*self._visible)
+        assert isinstance(self.volume, BlockedVolume)
+        if not self._bounds_are_new:
+            self.volume.forget()
+        if self.resolved.integration.compositing != "over":
+            found = self._projected_cells(self.volume)
+        elif self.resolved.noise:
+            shows = visible_mask(self.volume, "linear", self.nodes, *self._visible, self._moved)
+            found = np.where(shows, CELLS["visible"], CELLS["empty"]).astype(np.uint8)
         else:
-            found = self._projected_cells()
+            found = self._cells_that_show(*self._visible)
+        self._bounds_are_new = False
         self._set_steps()
         self.shown_cells, self.hole_cells = found != CELLS["empty"], found == CELLS["beside-holes"]
         self.shown = self.shown_cells
@@ -147,35 +155,51 @@ class BlockCaster(Raycaster):
         self.light_volume_samples = 0
         if self._casts_shadows:
             self._build_shadows()
+        self.without_surfaces = self._beside_surfaces()
         self.march.scene_changed(self)
 
-    def _projected_cells(self) -> np.ndarray:
+    def _projected_cells(self, volume: BlockedVolume) -> np.ndarray:
         """As ``_cells_that_show``, of a projection: all, since a mean may be a value that occurs in no cell, if the
         function shows anything. The effects get the bounds of what is resident."""
-        assert isinstance(self.volume, BlockedVolume)
         if not self._bounds_are_new:
-            self.volume.forget()
-            self.effects.update_projection(self.resolved, self.volume)
-        self._bounds_are_new = False
+            self.effects.update_projection(self.resolved, volume)
         self.effects.set_hidden(hidden_score(self.resolved.integration.compositing, self.gate))
         shows = any(map(np.any, self._visible))
-        return np.full(self.volume.cells[::-1], CELLS["visible" if shows else "empty"], np.uint8)
+        return np.full(volume.cells[::-1], CELLS["visible" if shows else "empty"], np.uint8)
 
     def _surface_cells(self) -> np.ndarray:
         """As in ``Raycaster``, of the resident blocks. Cells of voxels lie across the cells of blocks: those beside
         count, too."""
+        if self.resolved.noise:
+            levels = [float(self.volume.values(surface.value)) for surface in self.resolved.isosurfaces]
+            return self._with_surfaces(surface_mask(self.volume, "linear", levels, self._moved))
         nodes = self.nodes.values
         between, at = np.zeros(nodes.size - 1, bool), np.zeros(nodes.size, bool)
         for surface in self.resolved.isosurfaces:
             place = int(np.searchsorted(nodes, float(self.volume.values(surface.value))))
             between[max(place - 2, 0) : place + 1] = at[max(place - 1, 0) : place + 1] = True
-        self.surface_cells = dilated(self._cells_that_show(between, at) != CELLS["empty"])
-        self.effects.set_surfaces(distance_map(self.context, self.surface_cells))
-        return self.surface_cells
+        return self._with_surfaces(self._cells_that_show(between, at) != CELLS["empty"])
 
-    def _beside_surfaces(self) -> None:
-        """As in ``Raycaster``: every tile takes the same kernel, since cells of blocks are those of no surface's."""
-        return None
+    def _with_surfaces(self, found: np.ndarray) -> np.ndarray:
+        """bool [z, y, x]: the cells ``found``, and those beside where blocks are not at full resolution: there a voxel
+        cell may have corners whose values do not occur in its part of a cell. The effects get the distances to them;
+        tiles are told apart by cells of the lattice, which lie half a voxel off."""
+        around = dilated(found)
+        cells = found | (around & ~self._whole_cells)
+        self.effects.set_surfaces(distance_map(self.context, cells))
+        self.surface_cells = resized_cells(around, self.volume.cell_shift, CELL_SHIFT)
+        return cells
+
+    @property
+    def _whole_cells(self) -> np.ndarray:
+        """bool [z, y, x]: cells of blocks that are, and have around them, nothing but voxels."""
+        blocks = self.blocks.blocks
+        if not self.settings.interblock:
+            return np.zeros(self.volume.cells[::-1], bool)
+        whole = ~dilated((self.blocks.levels != 0).reshape(blocks.counts))
+        for axis in range(3):
+            whole = whole.repeat(blocks.edge >> self.volume.cell_shift, axis=axis)
+        return whole
 
     def _cells_that_show(self, between: np.ndarray, at: np.ndarray) -> np.ndarray:
         """uint8 [z, y, x], ``CELLS``: cells of resident blocks that have a value in one of the intervals ``between``
@@ -319,6 +343,17 @@ class BlockCaster(Raycaster):
         blocks, bits = self.blocks.blocks, self.volume.switches["VOXEL_BITS"]
         index = self.blocks.index
         return corner_statistics(self.context, index, blocks, view, bits, grid), blocks.edge
+
+
+def resized_cells(cells: np.ndarray, shift: int, wanted: int) -> np.ndarray:
+    """bool [z, y, x] ``cells`` of 2^``shift`` units as cells of 2^``wanted``: those that hold, or are in, a marked
+    one."""
+    for axis in range(3):
+        if shift > wanted:
+            cells = cells.repeat(1 << (shift - wanted), axis=axis)
+        elif shift < wanted:
+            cells = np.logical_or.reduceat(cells, np.arange(0, cells.shape[axis], 1 << (wanted - shift)), axis=axis)
+    return cells
 
 
 def block_switches(

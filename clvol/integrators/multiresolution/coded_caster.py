@@ -10,6 +10,7 @@ from clvol.device.view import RayFrame
 from clvol.integrators.multiresolution.caster import BlockCaster
 from clvol.integrators.multiresolution.coded_residency import seen_by_tiles
 from clvol.integrators.multiresolution.resident_codes import ResidentCodes
+from clvol.integrators.multiresolution.scene_errors import effects_on_blocks
 from clvol.integrators.raycast.tile_groups import tile_groups
 
 
@@ -27,7 +28,7 @@ class CodedBlockCaster(BlockCaster):
     ) -> Iterator[np.ndarray | None]:
         blocks = self.blocks
         assert isinstance(blocks, ResidentCodes)
-        grids, reach = (self.resolved.volume.grid, blocks.blocks), float(bool(self.effects.switches.get("GRADIENT")))
+        grids, reach = (self.resolved.volume.grid, blocks.blocks), effects_on_blocks(self.resolved).reach
         ranges = seen_by_tiles(frame, *grids, blocks.levels, size, self.tile, reach)
         columns, rows = (-(-n // m) for n, m in zip(size, self.tile))
         room = blocks.sample_bytes(blocks.levels)

@@ -159,7 +159,7 @@ class CodedResidency:
         whole = int(decoded.sum())
         frame = ray_frame(resolved.camera, self.source.grid, image.width, image.height)
         grids = self.source.grid, self.source.blocks
-        reach = float(effects_on_blocks(resolved).needs_gradients)
+        reach = effects_on_blocks(resolved).reach
         ranges = seen_by_tiles(frame, *grids, wanted.level, (image.width, image.height), tile, reach)
         of_tiles = sums_over_tiles(ranges, decoded, -(-image.width // TILE), -(-image.height // TILE))
         least = max(int(of_tiles.max(initial=0)), least_pool(decoded, self.source.blocks), total // _POOL_SHARE)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
-from clvol.device.fields import field_bytes
 from clvol.device.voxels import as_rendered
 from clvol.errors import SceneError
 from clvol.features import called_for, reduced_for_frames
@@ -15,7 +14,12 @@ from clvol.integrators.multiresolution.caster import block_switches
 from clvol.integrators.multiresolution.coded_residency import CodedResidency
 from clvol.integrators.multiresolution.coded_source import CodedSource, is_coded
 from clvol.integrators.multiresolution.engine import MultiresolutionEngine
-from clvol.integrators.multiresolution.residency import Residency, block_source, memory_of_blocks
+from clvol.integrators.multiresolution.residency import (
+    Residency,
+    block_source,
+    bytes_of_fields,
+    memory_of_blocks,
+)
 from clvol.integrators.multiresolution.sample_allocator import map_shift, most_bytes
 from clvol.integrators.pyramid.blocks import block_pyramid_switches
 from clvol.integrators.pyramid.layout import block_pyramid_bytes
@@ -39,7 +43,7 @@ _KEYS = {
 _EFFECTS = PLAIN | {
     "clipping", "lighting", "specular", "spot lights", "image lights", "environment", "environment background",
     "gradients", "depth cueing", "isosurfaces", "projection", "shadows", "scattering",
-    "label field", "density field", "mask field", "color field",
+    "label field", "density field", "mask field", "color field", "noise",
 }  # fmt: skip
 _BUDGETS = 2  # volumes and budgets whose blocks stay resident: they hold all the memory
 
@@ -73,7 +77,7 @@ class Multiresolution:
         refuse_quadrature(resolved)
 
     def _check_fields(self, resolved: ResolvedScene) -> None:
-        settings, taken = resolved.multiresolution, field_bytes(reduced_for_frames(resolved))
+        settings, taken = resolved.multiresolution, bytes_of_fields(resolved)
         if 2 * taken > settings.memory_bytes:
             where = f"{resolved.origin}: multiresolution.memory"
             what = f"got {settings.memory}, of which the voxels of fields take {format_size(taken)}"
@@ -127,7 +131,8 @@ class Multiresolution:
         budget = scene.multiresolution.memory_bytes
         source = getattr(volume, "blocks_source", None)
         blocks = BlockGrid(volume.shape) if source is None else source.blocks
-        needed = most_bytes(blocks, volume.dtype, budget)
+        fields = bytes_of_fields(scene) if isinstance(scene, ResolvedScene) else 0
+        needed = min(most_bytes(blocks, volume.dtype, budget) + fields, budget)
         if _slices(scene):
             edge = blocks.edge >> map_shift(blocks, budget)
             z, y, x = blocks.counts

@@ -10,6 +10,7 @@ import numpy as np
 from clvol.device.fields import field_bytes
 from clvol.errors import SceneError
 from clvol.features import reduced_for_frames
+from clvol.integrators.multiresolution.blocked_volume import levels_of_fields
 from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
 from clvol.integrators.multiresolution.scene_errors import (
     EffectsOnBlocks,
@@ -35,7 +36,13 @@ def block_source(volume: Volume) -> BlockSource:
 
 def memory_of_blocks(resolved: ResolvedScene) -> int:
     """Bytes of ``multiresolution.memory`` that fields leave for blocks."""
-    return resolved.multiresolution.memory_bytes - field_bytes(reduced_for_frames(resolved))
+    return resolved.multiresolution.memory_bytes - bytes_of_fields(resolved)
+
+
+def bytes_of_fields(resolved: ResolvedScene) -> int:
+    """Bytes of the voxels of a scene's fields, at the levels that go with blocks."""
+    reduced = reduced_for_frames(resolved)
+    return field_bytes(reduced, levels_of_fields(reduced))
 
 
 class Residency:

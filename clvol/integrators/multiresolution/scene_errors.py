@@ -4,12 +4,16 @@ on the wrong side of them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, cast
 
 import numpy as np
 
 from clvol.device.fields import kept_blocks
+from clvol.device.noise import displacement_bound, value_bound
 from clvol.features import called_for, reduced_for_frames
+from clvol.integrators.multiresolution.blocked_volume import levels_of_fields
 from clvol.integrators.multiresolution.clipped_blocks import MARGIN, kept_shares, removed_blocks
 from clvol.integrators.multiresolution.projection_errors import projected_colors, projection_errors
 from clvol.integrators.multiresolution.selection import SourceErrors, source_errors
@@ -17,9 +21,10 @@ from clvol.integrators.multiresolution.visible_error import ShownColors
 from clvol.scene.clip import Clip
 from clvol.scene.field import ResolvedField
 from clvol.scene.isosurface import Isosurface
+from clvol.scene.noise import Noise
 from clvol.scene.resolve import ResolvedScene
 from clvol.store.geometry import BlockGrid
-from clvol.store.source import BlockSource
+from clvol.store.source import BlockSource, BlockStatistics
 from clvol.transfer import TransferFunction
 from clvol.volume.grid import Grid
 
@@ -32,14 +37,22 @@ _OF_SHADOWS = 1.0 / 64.0
 @dataclass(frozen=True)
 class EffectsOnBlocks:
     """What of a scene's effects matters to the choice of blocks: its clips, whether anything needs gradients, its
-    surfaces, its compositing, whether there are shadows, which what is not seen casts, too, and its masks."""
+    surfaces, its compositing, whether there are shadows, which what is not seen casts, too, its masks
+    with their levels, and its noise, which ``moves`` samples by so many voxels at most."""
 
     clips: tuple[Clip, ...] = ()
     needs_gradients: bool = False
     surfaces: tuple[Isosurface, ...] = ()
     compositing: str = "over"
     casts_shadows: bool = False
-    masks: tuple[ResolvedField, ...] = ()
+    masks: tuple[tuple[ResolvedField, int], ...] = ()
+    noise: tuple[Noise, ...] = ()
+    moves: float = 0.0
+
+    @property
+    def reach(self) -> float:
+        """Voxels beyond what is interpolated at a place that have a share in it."""
+        return float(self.needs_gradients) + self.moves
 
     @property
     def least_share(self) -> float:
@@ -51,7 +64,8 @@ def effects_on_blocks(resolved: ResolvedScene) -> EffectsOnBlocks:
     reduced = reduced_for_frames(resolved)
     return EffectsOnBlocks(
         reduced.clips, "gradients" in called_for(resolved), reduced.isosurfaces, reduced.integration.compositing,
-        reduced.shadow is not None, tuple(field for field in reduced.fields if field.role == "mask"),
+        reduced.shadow is not None, _masks(reduced),
+        reduced.noise, _moved_by(reduced),
     )  # fmt: skip
 
 
@@ -59,9 +73,40 @@ def function_errors(
     source: BlockSource, function: TransferFunction, background: np.ndarray, effects: EffectsOnBlocks
 ) -> SourceErrors:
     """The errors of ``source`` under ``function`` over ``background`` (linear [3]), by the scene's compositing."""
+    source = _as_perturbed(source, effects)
     if effects.compositing == "over":
         return source_errors(source, function, background)
     return projection_errors(source, function, background, effects.compositing)
+
+
+def _masks(resolved: ResolvedScene) -> tuple[tuple[ResolvedField, int], ...]:
+    fields = zip(resolved.fields, levels_of_fields(resolved))
+    return tuple((field, level) for field, level in fields if field.role == "mask")
+
+
+def _moved_by(resolved: ResolvedScene) -> float:
+    """Voxels by which noise moves places, at most."""
+    shortest = min(resolved.volume.grid.spacing)
+    return float(sum(displacement_bound(noise) for noise in resolved.noise) / shortest)
+
+
+class _Perturbed:
+    """``source`` with values that may lie ``added`` beyond those of its voxels."""
+
+    def __init__(self, source: BlockSource, added: float) -> None:
+        self._source, self._added = source, added
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._source, name)
+
+    def statistics(self) -> Iterator[BlockStatistics]:
+        for part in self._source.statistics():
+            yield replace(part, reach_low=part.reach_low - self._added, reach_high=part.reach_high + self._added)
+
+
+def _as_perturbed(source: BlockSource, effects: EffectsOnBlocks) -> BlockSource:
+    added = float(sum(value_bound(noise) for noise in effects.noise))
+    return cast(BlockSource, _Perturbed(source, added)) if added else source
 
 
 def shown_colors(
@@ -79,6 +124,7 @@ def scene_errors(
     """``known``, the errors of ``source`` under the transfer function alone over ``background`` (linear [3]), with the
     ``effects`` of a scene."""
     if effects.surfaces:
+        source = _as_perturbed(source, effects)
         known = _with_surfaces(source, known, effects.surfaces, background)
     return with_effects(known, effects, source.grid, source.blocks)
 
@@ -118,17 +164,26 @@ def with_effects(known: SourceErrors, effects: EffectsOnBlocks, grid: Grid, bloc
             errors[level, beside] = _BESIDE * _largest_around(errors[level], blocks)[beside]
         dropped = dropped & ~beside
     if clips:
-        removed = removed_blocks(clips, grid, blocks)
+        removed = _for_good(removed_blocks(clips, grid, blocks), effects, blocks)
         shares = kept_shares(clips, grid, blocks, ~removed & (transmittances < 1.0))
         transmittances = np.where(removed, np.float32(1.0), transmittances**shares)
         errors = np.where(removed, np.float32(0.0), errors)
         dropped = dropped | removed
     if effects.masks:
-        removed = ~kept_blocks(effects.masks, grid, blocks.counts, blocks.edge, MARGIN).ravel()
+        kept = kept_blocks(effects.masks, grid, blocks.counts, blocks.edge, MARGIN).ravel()
+        removed = _for_good(~kept, effects, blocks)
         transmittances = np.where(removed, np.float32(1.0), transmittances)
         errors = np.where(removed, np.float32(0.0), errors)
         dropped = dropped | removed
     return SourceErrors(errors, dropped, transmittances)
+
+
+def _for_good(removed: np.ndarray, effects: EffectsOnBlocks, blocks: BlockGrid) -> np.ndarray:
+    """bool [n]: of the ``removed`` blocks those that noise does not make samples of places outside of them."""
+    kept = ~removed
+    for _ in range(min(int(np.ceil(effects.moves / blocks.edge)), max(blocks.counts))):
+        kept = _largest_around(kept, blocks)
+    return ~kept
 
 
 def _largest_around(values: np.ndarray, blocks: BlockGrid) -> np.ndarray:

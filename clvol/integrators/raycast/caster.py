@@ -186,8 +186,8 @@ class Raycaster:
 
     @property
     def _moved(self) -> Perturbation:
-        resolved = self.resolved
-        return perturbation(resolved.noise, resolved.volume.grid, self.volume.values.gain)
+        resolved, volume = self.resolved, self.volume
+        return perturbation(resolved.noise, resolved.volume.grid, volume.values.gain, volume.cell_shift)
 
     @property
     def _casts_shadows(self) -> bool:

@@ -15,6 +15,8 @@ import numpy as np
 from clvol.scene.resolve import ResolvedScene
 from clvol.transfer import TransferFunction
 
+_OF_FILTER = ("filter", "filter_table", "filter_reach", "prefilter")
+
 
 @dataclass(frozen=True, eq=False)
 class Facts:
@@ -34,11 +36,11 @@ class Facts:
         gradients = any(factor is not None for factor in by_gradient) or scene.transfer_layers
         same = {
             "the volume": (scene.volume,),
-            "the blocks": (contents,),
+            "the blocks": (contents, scene.multiresolution.interblock),
             "the fields": scene.fields,
             "the clips": scene.clips,
             "the noise": (*scene.noise, scene.animation.time if moves else 0.0),
-            "the filter": (integration.filter,),
+            "the filter": tuple(getattr(integration, name) for name in _OF_FILTER),
             "the step": (integration.step,),
             "the classification": (integration.classification,),
             "opacity by gradients": (*by_gradient, *scene.transfer_layers, scene.gradient) if gradients else (),

@@ -102,6 +102,20 @@ def test_surfaces_alone_hold_the_blocks_that_they_go_through(context):
     assert held[through & ~removed].all() and not held[removed].any() and (through & ~removed).any()
 
 
+@pytest.mark.slow  # a program more, of tiles that see no surface
+def test_tiles_without_surfaces_are_the_same_bits(context):
+    data = np.where((np.indices(SHAPE) > 26).all(axis=0), waves(SHAPE, np.uint8), 60).astype(np.uint8)
+    tables = {"isosurface": SURFACES["isosurface"], "light": LIT["light"]}
+    resolved, levels = scene(Volume(data), **tables), random_levels(BlockGrid(SHAPE), 3) % 3
+    parted = rendered(context, resolved, levels, tile=(4, 4))
+    assert parted.counters["tiles_without_surfaces"] > 3 and parted.counters["tiles_with_surfaces"] > 3
+    whole = rendered(context, resolved, levels, tile=(24, 20))
+    assert not whole.counters["tiles_without_surfaces"]
+    np.testing.assert_array_equal(parted.rgba, whole.rgba)
+    np.testing.assert_array_equal(parted.depth, whole.depth)
+    assert parted.counters["surface_hits"] == whole.counters["surface_hits"]
+
+
 # ---- hard cases ----
 
 
@@ -216,7 +230,7 @@ def test_gradients_are_continuous_over_the_faces_of_blocks_of_different_levels()
          "multiresolution.stepping"),
         ({**LIT, "gradient": {"storage": "precomputed"}}, "gradient.storage"),
         ({**LIT, "gradient": {"operator": "sobel"}}, "integration.method"),
-        ({"noise": [{"target": "value", "amplitude": 5.0}]}, "integration.method"),
+        ({"isosurface": [{"value": 120.0, "opacity": 0.5, "refraction": 1.3}]}, "integration.method"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_refused_in_one_line(tables, where):

@@ -31,6 +31,7 @@ def test_pictures_are_the_twins(context):
     assert np.abs(data.rgba - without.rgba).max() > 0.05
 
 
+@pytest.mark.slow  # four programs, of another classification and of the ray caster
 def test_at_full_resolution_the_picture_is_the_ray_casters(context):
     levels = np.zeros(BlockGrid(SHAPE).count, np.uint8)
     tables = {**SHADED, "classification": "preintegrated"}
@@ -47,6 +48,7 @@ def test_scattered_light_arrives(context):
     assert np.quantile(np.abs(data.rgba - expected).max(axis=-1), 0.98) < 3e-4
 
 
+@pytest.mark.slow  # the twin takes long
 def test_light_is_found_anew_when_blocks_change(context):
     volume = smooth()
     resolved = scene(volume, **SHADED, multiresolution={"memory": "8 MiB"})

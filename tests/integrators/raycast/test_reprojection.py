@@ -18,6 +18,7 @@ from clvol.integrators.raycast import history as module
 from clvol.integrators.raycast.caster import Raycaster
 from clvol.integrators.raycast.measured_gain import MeasuredGain
 from clvol.integrators.raycast.reprojection import MARGIN, Move, change_of_camera, moved, plan_move
+from clvol.integrators.raycast.same_starts import Facts
 from clvol.scene.coherence import Coherence
 from clvol.scene.isosurface import Isosurface
 from clvol.schedule.animation import orbited
@@ -262,6 +263,23 @@ def test_what_else_must_not_change(context):
         pictures.show(scene=first)
         changed = replace(first, integration=first.integration.model_copy(update=how))
         assert pictures.show(scene=changed)["reason"] == f"{name} changed"
+
+
+def test_what_makes_other_values_of_the_same_voxels():
+    before = scene()
+    for filter, name, values in (
+        ("table", "filter_table", ((1.0, 0.7, 0.3, 0.0), (1.0, 0.5, 0.3, 0.0))),
+        ("cubic", "prefilter", (False, True)),
+    ):
+        one, other = (
+            replace(before, integration=before.integration.model_copy(update={"filter": filter, name: each}))
+            for each in values
+        )
+        assert Facts.of(other).reason_afresh(Facts.of(one)) == "the filter changed", name
+    apart = before.multiresolution.model_copy(update={"interblock": not before.multiresolution.interblock})
+    changed = replace(before, multiresolution=apart)
+    assert Facts.of(changed).reason_afresh(Facts.of(before)) == "the blocks changed"
+    assert Facts.of(before).reason_afresh(Facts.of(before)) is None
 
 
 @pytest.mark.slow  # a program of its own
