@@ -120,6 +120,23 @@ def test_pools_of_every_size_give_the_same_picture(contexts, device, stepping, i
         assert blocks.take_decoded() > 0 or share == 1.0  # some of it again
 
 
+@pytest.mark.parametrize("mode", ["maximum", "average"])
+def test_projections(contexts, device, mode):
+    """Rays look at the bounds of all blocks, which the pool does not hold at a time."""
+    context, source = contexts(device), RandomCodes((60, 70, 90), "uint8", edge=8)
+    resolved = scene_of(source, size=(140, 110))
+    resolved = replace(resolved, integration=resolved.integration.model_copy(update={"compositing": mode}))
+    wanted = random_wanted(source, full=0.8)
+    samples = picture_of_samples(context, source, wanted, resolved)
+    assert np.ptp(samples.rgba[..., 3]) > 0.01
+    whole = 0
+    for share in (1.0, 0.4):
+        frame, blocks = picture_of_codes(context, source, wanted, resolved, int(share * (whole or AMPLE)))
+        whole = int(blocks.sample_bytes(wanted.level).sum())
+        assert_same(frame, samples)
+        assert blocks.take_decoded() > 0 or share == 1.0
+
+
 @pytest.mark.parametrize("shape", [(1, 38, 51), (33, 1, 51), (33, 38, 1), (17, 9, 33), (16, 16, 16)])
 def test_blocks_repeat_the_volume_s_last_samples(contexts, device, shape):
     context, source = contexts(device), RandomCodes(shape, "uint8")
