@@ -148,7 +148,7 @@ class Raycaster:
             self.effects.set_hidden(hidden_score(resolved.integration.compositing, self.gate))
         fields = self.effects.switches and self.effects.fields
         if fields:
-            mask = (mask | fields.shown) & fields.kept
+            mask = ((mask | fields.shown) & fields.kept) | self._bending_cells()
         self.shown = mask
         self.visible_share = float(mask.mean())
         self.switches = raycast_switches(
@@ -213,6 +213,15 @@ class Raycaster:
 
     def _scene_arrays(self) -> dict[str, DeviceArray]:
         return {"volume": self.volume.voxels, "table": self.table, "distances": self.distances}
+
+    def _bending_cells(self) -> np.ndarray | bool:
+        """The cells in which the index of refraction may change: what masks hide bends rays all the same."""
+        index = self.resolved.refraction
+        if index is None or index.shape is None:
+            return False
+        shape = device_function(index.shape, self.volume.values)
+        between, at = visible_cells(shape, self.nodes.values), shape.opacity(self.nodes.values) > 0
+        return visible_mask(self.volume, self.resolved.integration.filter, self.nodes, between, at, self._moved)
 
     def _surface_cells(self) -> np.ndarray:
         """bool [z, y, x]: cells in which an iso-surface can be. The effects get the distances to them."""

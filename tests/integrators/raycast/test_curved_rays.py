@@ -58,19 +58,34 @@ def test_every_device_bends_rays_alike(contexts, each_device):
     check(contexts(each_device), scene(blobs(SHAPE), refraction=GLASSY, **ON_THE_FLY))
 
 
-def test_leaps_change_nothing(context):
-    """What is transparent and bends rays is no empty space."""
+def sparse(**tables):
     array = np.zeros((40, 17, 19), np.float32)
     array[12:27] = blobs(SHAPE)
     function = TransferFunction([0.0, 0.6, 1.0], [0.0, 0.0, 0.4], np.ones((3, 3)))
     points = [{"value": 0.1, "index": 1.0}, {"value": 0.5, "index": 1.1}]
-    resolved = scene(array, function, refraction={"points": points}, gradient={"storage": "on-the-fly"},
-                     camera=oblique(array.shape))  # fmt: skip
+    return scene(array, function, refraction={"points": points}, gradient={"storage": "on-the-fly"},
+                 camera=oblique(array.shape), **tables)  # fmt: skip
+
+
+def test_leaps_change_nothing(context):
+    """What is transparent and bends rays is no empty space."""
+    resolved = sparse()
     one, other = picture(context, resolved), picture(context, resolved, skip=False)
     assert np.array_equal(one.rgba, other.rgba) and one.samples < other.samples
     assert one.counters["bends"] == other.counters["bends"] > 0
     straight = picture(context, replace(resolved, refraction=None)).rgba
     assert np.abs(straight - one.rgba).max() > 0.01
+
+
+@pytest.mark.slow  # compiles programs with a field
+def test_what_masks_hide_bends_rays_all_the_same(context):
+    """With leaps and without."""
+    half = np.zeros((40, 17, 19), np.float32)
+    half[20:] = 1.0
+    resolved = sparse(field=[{"file": Volume(half), "role": "mask", "threshold": 0.5}])
+    one, other = picture(context, resolved), picture(context, resolved, skip=False)
+    assert np.array_equal(one.rgba, other.rgba) and one.samples < other.samples
+    assert one.counters["bends"] == other.counters["bends"] > 0
 
 
 def test_an_index_that_is_constant_leaves_rays_straight_bit_for_bit(context):
