@@ -52,7 +52,7 @@ def load_radiance(
     height, width = texels.shape[:2]
     got = f"is {width} x {height} texels (width x height)"
     if layout == "latlong" and (width != 2 * height or height < 2):
-        raise SceneError(where, got, 'twice as wide as high (or layout = "cube")')
+        raise SceneError(where, got, 'twice as wide as high (or layout = "cube" or "sphere")')
     if layout == "cube" and height != 6 * width:
         raise SceneError(where, got, "six square faces, one below the other")
     if layout == "sphere":

@@ -6,10 +6,12 @@ import itertools
 
 import numpy as np
 
+from clvol.readers.meshes import ClosedMesh
 from clvol.scene.clip import Clip, MeshClip
 from clvol.volume import Grid
 
 _ROUNDING = 1e-14  # of coordinates
+_ASKEW = np.array([0.5377, 0.3119, 0.7833])  # a direction that few edges of meshes have
 _INSIDE = 1e-9  # tolerance of an index for a corner on the boundary of a grid
 
 
@@ -28,7 +30,7 @@ def cuts(clip: Clip, grid: Grid) -> bool:
         above = upper + _ROUNDING * np.maximum(reach, np.abs(upper))
         return bool(np.any(corners < below) or np.any(corners > above))
     if isinstance(clip, MeshClip):  # what is within a mesh may be hollow
-        return clip.keep == "inside" or not box_apart(grid, *clip.mesh.bounds)
+        return not (mesh_holds(clip.mesh, grid) if clip.keep == "inside" else box_apart(grid, *clip.mesh.bounds))
     center = np.asarray(clip.center)
     offsets = corners - center
     largest = max(np.abs(offsets).max(), clip.radius)  # so that no square may overflow
@@ -43,6 +45,28 @@ def cuts(clip: Clip, grid: Grid) -> bool:
 def box_apart(grid: Grid, lower: np.ndarray, upper: np.ndarray) -> bool:
     """Whether the box from ``lower`` to ``upper`` [3] and the domain of ``grid`` at most touch."""
     return _apart(grid.world_corners(), _box_corners(lower, upper), grid.direction, np.eye(3))
+
+
+def mesh_holds(mesh: ClosedMesh, grid: Grid) -> bool:
+    """Whether the domain of ``grid`` lies within ``mesh``: no triangle is near it, and a ray from its middle crosses
+    the mesh an odd number of times. False where triangles are near, or the ray meets an edge, too."""
+    corners = grid.world_corners()
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    lower, upper = mesh.bounds
+    if np.any(low <= lower) or np.any(high >= upper):
+        return False
+    triangles = mesh.vertices[mesh.triangles]
+    if np.all((triangles.min(axis=1) <= high) & (triangles.max(axis=1) >= low), axis=1).any():
+        return False
+    middle = 0.5 * (low + high)
+    a, b, c = np.moveaxis((triangles - middle) / np.abs(mesh.vertices - middle).max(), 1, 0)
+    sides = np.stack([np.cross(p, q) @ _ASKEW for p, q in ((b, c), (c, a), (a, b))])
+    crossed = np.all(sides > _ROUNDING, axis=0) | np.all(sides < -_ROUNDING, axis=0)
+    may_cross = np.all(sides >= -_ROUNDING, axis=0) | np.all(sides <= _ROUNDING, axis=0)
+    if np.any(may_cross & ~crossed):
+        return False
+    height = np.sum(a * np.cross(b - a, c - a), axis=1)
+    return bool(np.count_nonzero(crossed & (height * sides.sum(axis=0) > 0)) % 2)
 
 
 def holds(grid: Grid, corners: np.ndarray) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 
 from clvol.errors import ClvolWarning
 from clvol.features.findings import Findings
-from clvol.features.geometry import box_apart, nearest_distance
+from clvol.features.geometry import box_apart, mesh_holds, nearest_distance
 from clvol.features.values import reachable
 from clvol.scene.camera import Camera
 from clvol.scene.clip import Clip, MeshClip
@@ -286,7 +286,7 @@ def _clip(clip: Clip, number: int, grid: Grid) -> ClvolWarning | None:
             removes = box_apart(grid, lower, upper)
         advice = "set its lower and upper to a box that meets the volume, or keep to the other side"
     elif isinstance(clip, MeshClip):
-        removes = clip.keep == "inside" and box_apart(grid, *clip.mesh.bounds)
+        removes = mesh_holds(clip.mesh, grid) if clip.keep == "outside" else box_apart(grid, *clip.mesh.bounds)
         advice = "move it into the volume, in the world coordinates of both, or keep to the other side"
     else:
         centre = np.asarray(clip.center)

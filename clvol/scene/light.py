@@ -109,7 +109,8 @@ class Light(Table):
         for key, kinds in _NEEDED.items():
             value, given = getattr(self, key), key in self.model_fields_set
             if self.type in kinds and value is None:
-                raise wrong(key, None, f"{_EXPECTED.get(key, 'three numbers [x, y, z]')} for a {self.type} light")
+                expected = _EXPECTED.get(key, "three numbers [x, y, z]")
+                raise wrong(key, None, f"{expected} for a light of type {self.type!r}")
             if self.type not in _ALLOWED[key] and given and value is not None:
                 shown = list(value) if isinstance(value, tuple) else value
                 raise wrong(key, shown, f"no {key} for a light of type {self.type!r}")

@@ -259,3 +259,21 @@ def test_a_mesh_beside_the_volume_compiles_nothing(folder, cube):
     assert called["kernel_hash"] not in (bare["kernel_hash"], planes["kernel_hash"])
     lost = explain(clipped(mesh(away)))
     assert any("removes the whole volume" in warning for warning in lost["warnings"])
+
+
+def test_a_mesh_around_the_volume_compiles_nothing_or_removes_all(folder):
+    """A hollow one may hold the volume in its wall, or in its hollow."""
+    def told(file, keep):
+        found = explain(clipped(mesh(file, keep=keep)))
+        reasons = {effect["name"]: effect["reason"] for effect in found["effects"]}
+        return reasons["clipping"], any("removes the whole volume" in warning for warning in found["warnings"])
+
+    wide, wider = box_mesh([-9, -8, -7], [90, 91, 92]), box_mesh([-19, -18, -17], [190, 191, 192])
+    around = write_obj(folder / "around.obj", *star_mesh([11.0, 12.0, 10.5], 80.0))
+    hollow = write_obj(folder / "nested.obj", np.concatenate([wide[0], wider[0]]),
+                       np.concatenate([wide[1], wider[1] + 8]))  # fmt: skip
+    assert told(around, "inside") == ("the clip mesh holds the whole volume", False)
+    assert told(around, "outside") == ("the clip mesh cuts into the volume", True)
+    assert told(hollow, "outside") == ("the clip mesh cuts into the volume", False)
+    assert told(hollow, "inside")[0] == "the clip mesh cuts into the volume"
+    assert explain(clipped(mesh(around)))["kernel_hash"] == explain(clipped())["kernel_hash"]
