@@ -377,6 +377,16 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
 #endif
 #if OPACITY_FACTORS
       if (visible) weigh_by_gradient(scene, &e, gradient, forward);
+#if OPACITY_FACTORS & OPACITY_FACTOR_FUR
+      if (visible) {
+        const Vectors place = {xm, ym, zm};
+#if NEEDS_ENDS
+        weigh_by_fur(scene, &e, gradient, place, 0.5f * (a + b));
+#else
+        weigh_by_fur(scene, &e, gradient, place, mid);
+#endif
+      }
+#endif
 #endif
 #if FIELDS
       if (visible)

@@ -269,7 +269,7 @@ class Raycaster:
             other._build_table()
             other._follow_data()
         later = resolved.animation.time != self.resolved.animation.time
-        moved = later and bool(resolved.noise or resolved.attenuation_noise)  # cycling moves no opacity
+        moved = later and bool(resolved.all_noise)  # cycling moves no opacity
         if other._casts_shadows and (moved or shadow_step(resolved) != shadow_step(self.resolved)):
             other._build_shadows()
         if moved:
