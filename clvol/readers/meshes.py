@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,8 +19,10 @@ ENDINGS = (".stl", ".obj", ".ply")
 EXPECTED = "a closed mesh: .stl, .obj or .ply"
 _KEPT = 8  # meshes that are not read again
 MOST_TRIANGLES = 2_000_000
+_ASCII = bytes(range(128)) + b"?" * 128  # what each byte of text becomes
 
 
+@dataclass(frozen=True, eq=False)
 class ClosedMesh:
     """``vertices`` float64 [n, 3] in world coordinates, ``triangles`` int64 [k, 3].
 
@@ -25,8 +30,8 @@ class ClosedMesh:
     they are wound does not matter. It does not change, and equals itself alone.
     """
 
-    def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
-        self.vertices, self.triangles = vertices, triangles
+    vertices: np.ndarray
+    triangles: np.ndarray
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
@@ -51,11 +56,22 @@ def _read(path: Path, changed: int, size: int) -> ClosedMesh:
     trimesh = library("trimesh", "mesh", path)
     try:
         with quiet():
-            loaded = trimesh.load(path, file_type=kind[1:], process=False, force="mesh", skip_materials=True)
+            loaded = _loaded(trimesh, path)
         vertices, faces = np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64)
     except Exception as error:  # what a library makes of a damaged file can be any exception
         raise VolumeError(where, first_line(error) or "cannot be read", EXPECTED) from error
     return closed_mesh(vertices, faces, where)
+
+
+def _loaded(trimesh: Any, path: Path) -> Any:
+    """The mesh as trimesh has it. Letters beyond ASCII are those of names and comments, in any encoding."""
+    data, how = path.read_bytes(), {"process": False, "force": "mesh", "skip_materials": True}
+    kind = path.suffix.lower()[1:]
+    try:
+        return trimesh.load(BytesIO(data), file_type=kind, **how)
+    except (ImportError, UnicodeDecodeError):  # other encodings than UTF-8 are guessed by a library beyond the extra
+        text, end, binary = data.partition(b"end_header") if kind == "ply" else (data, b"", b"")
+        return trimesh.load(BytesIO(text.translate(_ASCII) + end + binary), file_type=kind, **how)
 
 
 def closed_mesh(vertices: np.ndarray, faces: np.ndarray, where: str) -> ClosedMesh:

@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 from helpers.effect_tables import EFFECTS, Place, by_name, with_tables
 from helpers.isolation import KINDS, assert_same, is_gone, scene, states, workers
+from helpers.meshes import box_mesh, write_obj
 from helpers.small_scenes import SMOOTH, waves
+from PIL import Image
 
 from clvol import Camera, Renderer, Scene, TransferFunction, Volume
 from clvol.cli import main
@@ -113,16 +115,30 @@ def test_stores_are_opened_there(device, isolated, tmp_path, method, codec):
     assert_same(isolated(made, [device]).render(), expected)
 
 
-def test_a_scene_in_a_message_is_the_same_scene(tmp_path):
-    volume = Volume(waves((19, 17, 23)), spacing=(1.0, 0.7, 1.3), slope=2.0, offset=-3.0)
-    place = Place(volume, tmp_path)
+def _told(place):
+    """(name, tables) of every effect, and of what has objects or files of its own in resolved tables."""
     for effect in EFFECTS:
-        tables = {"volume": volume, "image": {"width": 9, "height": 7}}
-        names = [effect.name]
+        tables, names = {}, [effect.name]
         while (over := by_name(names[0]).over) is not None:
             names.insert(0, over)
         for name in names:
             tables = with_tables(tables, by_name(name).tables(place))
+        yield effect.name, tables
+    box = write_obj(place.folder / "box.obj", *box_mesh([4.0, 5.0, 3.0], [14.0, 11.0, 12.0]))
+    Image.new("RGB", (4, 3), "red").save(place.folder / "slide.png")
+    aimed = {"position": [-9.0, 0.0, 0.0], "direction": [1.0, 1.0, 1.0]}
+    slide = {"type": "image", "file": str(place.folder / "slide.png"), **aimed}
+    yield "clip mesh", {"clip": [{"type": "mesh", "file": box}]}
+    yield "index of refraction", {"refraction": {"points": [{"value": v, "index": 1.0 + v} for v in (0.0, 1.0)]}}
+    yield "aimed lights", {"light": [{"type": "spot", **aimed}, slide]}
+    yield "table", {"integration": {"filter": "table", "filter_table": [1.0, 0.7, 0.2, 0.0]}}
+    yield "attenuation noise", {"noise": [{"target": "attenuation", "amplitude": 0.5}]}
+
+
+def test_a_scene_in_a_message_is_the_same_scene(tmp_path):
+    volume = Volume(waves((19, 17, 23)), spacing=(1.0, 0.7, 1.3), slope=2.0, offset=-3.0)
+    for told, tables in _told(Place(volume, tmp_path)):
+        tables = with_tables({"volume": volume, "image": {"width": 9, "height": 7}}, tables)
         resolved = Scene(**tables).resolve()
         volumes: list[Volume] = []
 
@@ -133,11 +149,9 @@ def test_a_scene_in_a_message_is_the_same_scene(tmp_path):
         message = json.loads(json.dumps(encoded(resolved, number)))
         back = decoded(message, dict(enumerate(volumes)))
         integrator = integrator_of(resolved)
-        assert scene_key(back, integrator) == scene_key(resolved, integrator), effect.name
+        assert scene_key(back, integrator) == scene_key(resolved, integrator), told
         for name in ("camera", "image", "integration", "multiresolution", "pyramid", "animation"):
-            assert value_key(getattr(back, name)) == value_key(getattr(resolved, name)), (effect.name, name)
+            assert value_key(getattr(back, name)) == value_key(getattr(resolved, name)), (told, name)
         assert back.source == resolved.source
     with pytest.raises(TypeError, match="no part of a scene|not part of a scene"):
         encoded(object())
-
-

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from clvol.device.view import PixelLattice, PixelList
+from clvol.readers.meshes import ClosedMesh
 from clvol.scene import OpacityFactor, RefractiveIndex, ResolvedChannel, ResolvedField, ResolvedScene, TransferLayer
 from clvol.scene.classification import ChosenClassification
 from clvol.scene.glow import Glow
@@ -29,7 +30,7 @@ from clvol.volume.volume import Volume
 _TYPES: dict[str, type] = {
     each.__name__: each
     for each in (
-        ChosenClassification, Colors, Glow, Grid, OpacityFactor, PixelLattice, PixelList, RefractiveIndex,
+        ChosenClassification, ClosedMesh, Colors, Glow, Grid, OpacityFactor, PixelLattice, PixelList, RefractiveIndex,
         ResolvedChannel, ResolvedField, ResolvedScene, StepTimes, TransferFunction, TransferLayer, ValueAxis,
     )  # fmt: skip
 }

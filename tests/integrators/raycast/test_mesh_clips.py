@@ -187,6 +187,17 @@ def test_files_hold_the_same_mesh(folder, write):
     assert clipped(mesh(file)).clips[0].mesh is clip.mesh  # read once
 
 
+@pytest.mark.parametrize("write, before, comment", [
+    (write_obj, b"", "# pi\xe8ce\n"), (write_ply, b"ply\nformat ascii 1.0\n", "comment pi\xe8ce\n"),
+], ids=["obj", "ply"])  # fmt: skip
+@pytest.mark.parametrize("encoding", ["latin-1", "utf-8"])
+def test_comments_are_in_any_encoding(folder, write, before, comment, encoding):
+    file = folder / f"{encoding}.{write.__name__[-3:]}"
+    write(file, *box_mesh(*BOX))
+    file.write_bytes(before + comment.encode(encoding) + file.read_bytes().removeprefix(before))
+    assert len(clipped(mesh(str(file))).clips[0].mesh.triangles) == 12
+
+
 def test_the_file_is_an_input_of_the_scene_and_its_pictures(folder, cube):
     asked = clvol.Scene(volume=clvol.Volume(ARRAY), transfer_function=constant_function(), clip=[mesh(cube)])
     assert [str(path) for path in asked.input_paths] == [cube]
@@ -206,6 +217,7 @@ def test_an_open_mesh_says_where(folder):
     ("none.stl", None, "No such file"), ("empty.obj", b"", "clip.0.file"),
     ("broken.ply", b"ply\nnonsense", "clip.0.file"),
     ("mesh.step", b"x", "ends in '.step'"), ("short.stl", bytes(100), "clip.0.file"),
+    ("noise.stl", bytes(range(256)), "no triangles"),
 ])  # fmt: skip
 def test_what_is_no_mesh_is_refused(folder, name, content, words):
     if content is not None:
