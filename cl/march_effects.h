@@ -381,7 +381,10 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
 #if LIT_AT_ENDS
         /* Light at both ends, weighed by where between them the segment shows (Lum, Wilson and Ma 2004). */
         const floatN weight = (1.0f - acc.a) * segment_opacity(e);
-        const floatN from_front = e.place;
+        const intN shorter = shows & MASK(length < 1.0f);
+        floatN from_front = e.place;
+        if (any_lane(shorter))
+          from_front = select(from_front, place_in_segment(a, b, length, shorter, table, view), shorter);
         Vectors ends_lit[2];
         _Pragma("unroll 1") for (int end = 0; end < 2; ++end) {
           const floatN t_end = end ? t1 : t0;
