@@ -28,7 +28,7 @@ class SharedHistory:
         self.late, self.gain = LateStarts(), MeasuredGain()
         self._arrays = arrays
         self._last: np.ndarray | None = None
-        self._number = 0  # pictures so far
+        self._number = self._number_of_last = 0  # pictures so far, those that were not completed among them
         self._kept: KeptDepths | None = None  # of the picture that is rendered
         self._reason: str | None = None
         self._begun, self._measured = 0.0, False
@@ -47,7 +47,8 @@ class SharedHistory:
         before = self._last if self._last is not None and self._last.shape == (height, width) else None
         if self.late.starts_from_hull():
             before, self._reason = None, LATE_BEFORE
-        self._kept = KeptDepths(self._arrays.make((height, width), np.float32), before, self._number, self._number - 1)
+        now = self._arrays.make((height, width), np.float32)
+        self._kept = KeptDepths(now, before, self._number, self._number_of_last)
         return self._kept
 
     def again(self) -> KeptDepths:
@@ -88,4 +89,4 @@ class SharedHistory:
     def _replace(self, last: np.ndarray | None, still_used: bool) -> None:
         if self._last is not None:
             self._arrays.release([self._last], still_used)
-        self._last = last
+        self._last, self._number_of_last = last, self._number

@@ -9,10 +9,11 @@ from clvol.image import load_image
 
 
 def lights_that_shine(resolved) -> list:
-    """(number, light) of the lights that are not black."""
+    """(number, light) of the lights that are not black, nor spots whose cone is 0."""
     return [
         (k, light) for k, light in enumerate(resolved.lights)
         if light.intensity > 0 and np.any(np.asarray(light.color) > 0)
+        and not (light.type == "spot" and light.cone_degrees == 0)
     ]  # fmt: skip
 
 

@@ -134,6 +134,20 @@ def test_what_takes_no_starts_says_so(shared):
     assert pyramid.render().stats["coherence"] == {"mode": "off", "reason": "the pyramid"}
 
 
+def test_a_picture_that_is_not_completed_leaves_no_starts(shared, expected):
+    """Devices have seen its camera, but what is kept belongs to the picture before."""
+    renderer = shared(scene())
+    show(renderer, expected, 0.0)
+
+    def stops(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        renderer.render(camera=orbited(AROUND, 3.0), progress=stops)
+    assert show(renderer, expected, 4.0)["reused_starts"] == 0
+    assert_reused(show(renderer, expected, 5.0))
+
+
 @pytest.mark.slow  # starts processes
 def test_devices_in_processes_of_their_own(halves, expected):
     with Renderer(scene(), devices=halves, isolate=True) as renderer:

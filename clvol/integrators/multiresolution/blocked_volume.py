@@ -46,7 +46,6 @@ class BlockedVolume(ResidentVolume):
 
     def __init__(self, context: DeviceContext, resolved: ResolvedScene, blocks: HeldBlocks) -> None:
         self.context, self.blocks = context, blocks
-        self.voxels = blocks.samples[0]
         self.values = blocks.value_map
         self.switches = blocks.switches
         self.interblock = resolved.multiresolution.interblock
@@ -63,6 +62,11 @@ class BlockedVolume(ResidentVolume):
         if self._doubled:
             self.cells = -(-nx // 2), -(-ny // 2), -(-nz // 2)
         self._bounds: tuple[np.ndarray, np.ndarray] | None = None
+
+    @property
+    def voxels(self) -> DeviceArray:  # type: ignore[override]  # an attribute of the base
+        """As in ``ResidentVolume``; for another choice of blocks they may lie in another buffer."""
+        return self.blocks.samples[0]
 
     @property
     def contents(self) -> bytes:

@@ -20,6 +20,7 @@ from clvol.integrators.multiresolution.coded_caster import CodedBlockCaster
 from clvol.integrators.multiresolution.coded_residency import CodedResidency
 from clvol.integrators.multiresolution.coded_source import codes_at
 from clvol.integrators.multiresolution.device_blocks import DeviceBlocks
+from clvol.integrators.multiresolution.engine import MultiresolutionEngine
 from clvol.integrators.multiresolution.resident_codes import ResidentCodes, Wanted
 from clvol.scene.multiresolution import Multiresolution
 from clvol.store.codecs.coded_blocks import WHOLE, CodedBlocks
@@ -120,6 +121,23 @@ def test_pools_of_every_size_give_the_same_picture(contexts, device, stepping, i
         assert blocks.take_decoded() > 0 or share == 1.0  # some of it again
 
 
+@pytest.mark.parametrize("mode", ["maximum", "average"])
+def test_projections(contexts, device, mode):
+    """Rays look at the bounds of all blocks, which the pool does not hold at a time."""
+    context, source = contexts(device), RandomCodes((60, 70, 90), "uint8", edge=8)
+    resolved = scene_of(source, size=(140, 110))
+    resolved = replace(resolved, integration=resolved.integration.model_copy(update={"compositing": mode}))
+    wanted = random_wanted(source, full=0.8)
+    samples = picture_of_samples(context, source, wanted, resolved)
+    assert np.ptp(samples.rgba[..., 3]) > 0.01
+    whole = 0
+    for share in (1.0, 0.4):
+        frame, blocks = picture_of_codes(context, source, wanted, resolved, int(share * (whole or AMPLE)))
+        whole = int(blocks.sample_bytes(wanted.level).sum())
+        assert_same(frame, samples)
+        assert blocks.take_decoded() > 0 or share == 1.0
+
+
 @pytest.mark.parametrize("shape", [(1, 38, 51), (33, 1, 51), (33, 38, 1), (17, 9, 33), (16, 16, 16)])
 def test_blocks_repeat_the_volume_s_last_samples(contexts, device, shape):
     context, source = contexts(device), RandomCodes(shape, "uint8")
@@ -215,6 +233,19 @@ def test_a_budget_is_kept_and_more_memory_shows_more(contexts, device):
         errors.append(found["estimated_error"])
         assert not residency.ask(resolved)  # the same again
     assert errors[0] > errors[1] >= errors[2] >= 0.0
+
+
+def test_another_view_has_the_picture_of_its_own_blocks(contexts, device):
+    """Its samples are decoded into another pool."""
+    context, source = contexts(device), RandomCodes((60, 70, 90), "uint8", stages=3)
+    resolved = scene_of(source, memory=2 * least_memory(context, source), size=(140, 110))
+    camera = resolved.camera.model_copy(update={"position": (-60.0, 90.0, 50.0)})
+    engine = MultiresolutionEngine(context, resolved, CodedResidency(context, source, resolved))
+    engine.render(resolved.camera, 140, 110)
+    found = engine.render(camera, 140, 110)
+    afresh = MultiresolutionEngine(context, resolved, CodedResidency(context, source, resolved))
+    np.testing.assert_array_equal(found.rgba, afresh.render(camera, 140, 110).rgba)
+    assert engine.residency.generation > 1
 
 
 def least_memory(context, source) -> int:
