@@ -196,10 +196,10 @@ class Raycaster:
 
     def _build_shadows(self) -> None:
         """Fills the light volume, where there is one. No camera changes it."""
-        variant, added = self._sample_arguments
+        variant, own = self._sample_arguments
         if self.switches["SHADOWS"] == METHODS["volume"] and self.visible_share:
             self.effects.arrays["light_volume"], self.light_volume_samples = fill_light_volume(
-                self.context, self.resolved, self.switches, self.volume_view(), variant, {**self._scene_arrays(), **added}
+                self.context, self.resolved, self.switches, self.volume_view(), variant, {**self._scene_arrays(), **own}
             )
 
     def _build_occlusion(self) -> None:
