@@ -36,12 +36,12 @@ typedef struct {
   float4 gradient_scale;                     /* of precomputed gradients (gradient.h) */
   float4 cue_color;                          /* of depth cueing: r, g, b */
   float4 light_grid;                         /* x, y, z: points of the light volume per lattice unit */
-  float4 occlusion_grid;                     /* x, y, z: points of the ambient occlusion per lattice unit; its intensity */
+  float4 occlusion_grid;                     /* x, y, z: points of ambient occlusion per lattice unit; its intensity */
   float4 noise_reach;                        /* x, y, z: half an edge, in lattice units */
   int4 light_size;                           /* x, y, z: points of the light volume */
   int4 occlusion_size;                       /* x, y, z: points of the ambient occlusion */
   Field fields[MOST_FIELDS];
-  NoiseTerm noise_terms[MOST_NOISE_TERMS];        /* in the order of NOISE_TARGET_... */
+  NoiseTerm noise_terms[MOST_NOISE_TERMS];   /* in the order of NOISE_TARGET_... */
   int along_axes;         /* whether the lattice is along the local axes */
   float ambient, diffuse, specular, shininess;
   float fade;             /* 1 / the magnitude per edge below which shading fades; 0: it does not */
