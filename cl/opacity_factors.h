@@ -1,6 +1,6 @@
 /* What the gradient decides about a segment: factors on its extinction by the gradient's magnitude, by the
- * derivative along the ray, and by hairs that grow along it; and emission and extinction from a function of value and magnitude (Engel and Ertl 2002,
- * section 5).
+ * derivative along the ray, and by hairs that grow along it; and emission and extinction from a function of value and
+ * magnitude (Engel and Ertl 2002, section 5).
  *
  * Tables in `factors` are two rows of `n` floats: places ascending (per edge; of two at one place the later one holds
  * there), and factors at them, linear in between. Of the layers of a function of two values only the places are there:
