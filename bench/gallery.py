@@ -100,6 +100,8 @@ TILES = (
          "scattering in it.", "noise", "[[noise]]"),
     Tile("cloud-iridescent", "Noise of attenuation", "Scattered light whose attenuation differs by noise, a colour at "
          "a time: iridescence.", "attenuation noise", '[[noise]] target = "attenuation"'),
+    Tile("ball-fur", "Fur", "Hairs that grow from a level along the gradient, each as long as noise says at its root.",
+         "fur", '[[noise]] target = "fur"'),
     Tile("heptane-glow", "Associated colours", "Flames that emit without hiding anything, in smoke that emits "
          "nothing.", "associated colours", "[transfer_function] associated, emission"),
     Tile("fireball", "Fireball, 0 s", "A radial field, two noises that move, colours that cycle.",

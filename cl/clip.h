@@ -1,9 +1,9 @@
 /* Which stretches of a ray are kept: clip planes, boxes, spheres and closed meshes, exactly along the ray.
  *
- * A clip but for a mesh (mesh_clip.h) keeps or removes a convex set, so that a ray is inside it along one stretch. Each is three items: (kind, -,
- * -, radius); point or centre or lower corner; normal or upper corner; all local. The first `kept_clips` keep what is
- * inside, the next `removed_clips` remove it. Within a stretch nothing is clipped, and so no sample, segment or shadow
- * knows of it.
+ * A clip but for a mesh (mesh_clip.h) keeps or removes a convex set, so that a ray is inside it along one stretch. Each
+ * is three items: (kind, -, -, radius); point or centre or lower corner; normal or upper corner; all local. The first
+ * `kept_clips` keep what is inside, the next `removed_clips` remove it. Within a stretch nothing is clipped, and so no
+ * sample, segment or shadow knows of it.
  */
 #ifndef CLIP_H
 #define CLIP_H

@@ -13,8 +13,9 @@
  * starts are marked by the lowest bit of the float.
  *
  * Rays keep to the steps that they would take from the hull, and begin at least two of them before the start. Of the
- * first segment that they pass then, the sample before it is not known, by which its ends would be corrected: it is known
- * to show nothing, and left out (blind_segments). So a picture is bit for bit that without coherence wherever the start is not late.
+ * first segment that they pass then, the sample before it is not known, by which its ends would be corrected: it is
+ * known to show nothing, and left out (blind_segments). So a picture is bit for bit that without coherence wherever the
+ * start is not late.
  */
 #ifndef COHERENCE_H
 #define COHERENCE_H

@@ -36,12 +36,12 @@ typedef struct {
   float4 gradient_scale;                     /* of precomputed gradients (gradient.h) */
   float4 cue_color;                          /* of depth cueing: r, g, b */
   float4 light_grid;                         /* x, y, z: points of the light volume per lattice unit */
-  float4 occlusion_grid;                     /* x, y, z: points of the ambient occlusion per lattice unit; its intensity */
+  float4 occlusion_grid;                     /* x, y, z: points of ambient occlusion per lattice unit; its intensity */
   float4 noise_reach;                        /* x, y, z: half an edge, in lattice units */
   int4 light_size;                           /* x, y, z: points of the light volume */
   int4 occlusion_size;                       /* x, y, z: points of the ambient occlusion */
   Field fields[MOST_FIELDS];
-  NoiseTerm noise_terms[MOST_NOISE_TERMS];        /* those that add to values, after them those that move places, and those that tint scattered light */
+  NoiseTerm noise_terms[MOST_NOISE_TERMS];   /* in the order of NOISE_TARGET_... */
   int along_axes;         /* whether the lattice is along the local axes */
   float ambient, diffuse, specular, shininess;
   float fade;             /* 1 / the magnitude per edge below which shading fades; 0: it does not */
@@ -65,7 +65,7 @@ typedef struct {
   int gradient_opacity_points, directional_opacity_points;     /* of opacity factors */
   int layer_count, layer_rows; /* of a function of two values: its layers; of a joint one of three: layers of a row, rows */
   int gradient_opacity_table, directional_opacity_table, layer_table; /* where these begin in `factors` */
-  int field_count, added_terms, moving_terms, tinting_terms;
+  int field_count, added_terms, moving_terms, tinting_terms, fur_terms;
   int glow_points, glow_table; /* of associated colours (glow.h); where they begin in `factors` */
   int index_points, index_table; /* of an index of refraction (curved_rays.h), likewise */
   float longest_path;            /* edges after which rays turn no more */
@@ -96,7 +96,8 @@ typedef struct {
   FIELD(Effects, sky_map), FIELD(Effects, gradient_opacity_points), FIELD(Effects, directional_opacity_points), \
   FIELD(Effects, layer_count), FIELD(Effects, layer_rows), FIELD(Effects, gradient_opacity_table), FIELD(Effects, directional_opacity_table), \
   FIELD(Effects, layer_table), FIELD(Effects, field_count), FIELD(Effects, added_terms), \
-  FIELD(Effects, moving_terms), FIELD(Effects, tinting_terms), FIELD(Effects, glow_points), FIELD(Effects, glow_table), \
+  FIELD(Effects, moving_terms), FIELD(Effects, tinting_terms), FIELD(Effects, fur_terms), \
+  FIELD(Effects, glow_points), FIELD(Effects, glow_table), \
   FIELD(Effects, index_points), FIELD(Effects, index_table), FIELD(Effects, longest_path)
 
 /* What is counted beside samples: one number each a tile. clvol/features/vocabulary.py names them in this order. */

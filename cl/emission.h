@@ -38,6 +38,16 @@ INLINE Emission segment_emission_in(floatN front, floatN back, intN active, intN
   return emission_of_color(color_of_segment(front, back, units_of_step(f, view), active, f));
 }
 
+#if LIT_AT_ENDS
+/* Where what is seen of segments of `length` steps lies: a shorter one hides less of itself. */
+INLINE floatN place_in_segment(floatN front, floatN back, floatN length, intN active, __global const float *table,
+                               __constant const View *view)
+{
+  const Pieces f = scene_pieces(table, (intN)0, view);
+  return emission_of_color(color_of_segment(front, back, length * units_of_step(f, view), active, f)).place;
+}
+#endif
+
 INLINE Emission value_emission_in(floatN value, intN first, __global const float *table, __constant const View *view)
 {
   const Pieces f = scene_pieces(table, first, view);

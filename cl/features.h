@@ -73,6 +73,7 @@
 /* Bits of the switch OPACITY_FACTORS (opacity_factors.h). */
 #define OPACITY_FACTOR_GRADIENT 1
 #define OPACITY_FACTOR_DIRECTIONAL 2
+#define OPACITY_FACTOR_FUR 4
 
 /* Switch TRANSFER_LAYERS; 0: there is one function of one value (opacity_factors.h, joint_layers.h). */
 #define LAYERS_BY_GRADIENT 1
@@ -87,10 +88,11 @@
 #define FIELD_VALUE 16
 
 /* What a term of noise perturbs, and bits of the switch NOISE: whether any term does (noise.h). Attenuation has a switch
- * of its own, TINTED_SCATTERING (light_volume.cl). */
+ * of its own, TINTED_SCATTERING (light_volume.cl), and fur a bit of OPACITY_FACTORS. */
 #define NOISE_TARGET_VALUE 0
 #define NOISE_TARGET_COORDINATE 1
 #define NOISE_TARGET_ATTENUATION 2
+#define NOISE_TARGET_FUR 3
 #define NOISE_ADDS (1 << NOISE_TARGET_VALUE)
 #define NOISE_MOVES (1 << NOISE_TARGET_COORDINATE)
 

@@ -37,6 +37,7 @@
 #endif
 #if LIGHTING
 #include "shade.h"
+#include "shown_normal.h"
 #endif
 #if AMBIENT_OCCLUSION
 #include "ambient_occlusion.h"
@@ -111,26 +112,6 @@
 #define NOTE_SEGMENT(passes, part) note_whole(&half_, passes, e.d * (part), STEADY_SHARE);
 #else
 #define NOTE_SEGMENT(passes, part)
-#endif
-
-#if LIGHTING && TRANSLUCENT
-/* The normal of what the gradient belongs to. A cut face shows its own normal, going over to the gradient's within one
- * edge; `along`: edges from the start of the stretch. */
-INLINE Vectors normal_shown(__constant const Effects *effects, Vectors gradient, Vectors cut_normal, floatN along)
-{
-  Vectors normal = directed3(gradient, -1.0f);
-#if CLIP
-  const floatN inside = lane_clamp(along, (floatN)0.0f, (floatN)1.0f);
-  const intN cut = MASK(dot3(cut_normal, cut_normal) > 0.5f) & MASK(inside < 1.0f);
-  if (any_lane(cut)) {
-    const intN two_sided = effects->two_sided ? (intN)-1 : (intN)0;
-    const intN behind = two_sided & MASK(dot3(normal, cut_normal) < 0.0f);
-    const Vectors toward = select3(normal, scaled3(normal, -1.0f), behind);
-    normal = select3(normal, unit3(sum3(scaled3(toward, inside), scaled3(cut_normal, 1.0f - inside))), cut);
-  }
-#endif
-  return normal;
-}
 #endif
 
 /* Gradients are also reconstructed where nothing is lit, for what depends on them. */
@@ -377,6 +358,16 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
 #endif
 #if OPACITY_FACTORS
       if (visible) weigh_by_gradient(scene, &e, gradient, forward);
+#if OPACITY_FACTORS & OPACITY_FACTOR_FUR
+      if (visible) {
+        const Vectors place = {xm, ym, zm};
+#if NEEDS_ENDS
+        weigh_by_fur(scene, &e, gradient, place, 0.5f * (a + b));
+#else
+        weigh_by_fur(scene, &e, gradient, place, mid);
+#endif
+      }
+#endif
 #endif
 #if FIELDS
       if (visible)
@@ -400,14 +391,17 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
 #if LIT_AT_ENDS
         /* Light at both ends, weighed by where between them the segment shows (Lum, Wilson and Ma 2004). */
         const floatN weight = (1.0f - acc.a) * segment_opacity(e);
-        const floatN from_front = e.place;
+        const intN shorter = shows & MASK(length < 1.0f);
+        floatN from_front = e.place;
+        if (any_lane(shorter))
+          from_front = select(from_front, place_in_segment(a, b, length, shorter, table, view), shorter);
         Vectors ends_lit[2];
         _Pragma("unroll 1") for (int end = 0; end < 2; ++end) {
           const floatN t_end = end ? t1 : t0;
           const Vectors place = {ray.x0 + t_end * ray.dx, ray.y0 + t_end * ray.dy, ray.z0 + t_end * ray.dz};
           const Vectors slope = scene_gradient(scene, place.x, place.y, place.z);
           count_lanes(&counted[COUNT_GRADIENTS], shows);
-          const Vectors normal = normal_shown(effects, slope, cut_normal, t_end * h);
+          const Vectors normal = shown_normal(scene, slope, cut_normal, t_end * h);
           const intN lit = shows & MASK(dot3(normal, normal) > 0.5f);
           ends_lit[end] = shaded_color(scene, color, e.d, place, normal, slope, scaled3(forward, -1.0f), weight, 0, lit,
                                        counted);
@@ -416,7 +410,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
         color.y = ends_lit[0].y + from_front * (ends_lit[1].y - ends_lit[0].y);
         color.z = ends_lit[0].z + from_front * (ends_lit[1].z - ends_lit[0].z);
 #elif LIGHTING
-        const Vectors normal = normal_shown(effects, gradient, cut_normal, tm * h);
+        const Vectors normal = shown_normal(scene, gradient, cut_normal, tm * h);
         const intN lit = shows & MASK(dot3(normal, normal) > 0.5f);
         const Vectors place = {xm, ym, zm};
         const floatN weight = (1.0f - acc.a) * segment_opacity(e);

@@ -74,8 +74,8 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
       run = select(run, (intN)0, leaps);
     }
 #endif
-    /* Places depend by branches alone on what the steps before have shown, as in march_plain.h. First all samples, then what they show: so short a loop has many steps under way at once, and none of them waits
-     * for the cache alone. */
+    /* Places depend by branches alone on what the steps before have shown, as in march_plain.h. First all samples, then
+     * what they show: so short a loop has many steps under way at once, and none of them waits for the cache alone. */
     floatN values[MARCH_STEPS];
     intN counts[MARCH_STEPS], at = i;
     UNROLL_LANES for (int step = 0; step < MARCH_STEPS; ++step) {

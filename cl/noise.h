@@ -17,8 +17,8 @@
 typedef struct {
   float4 scale;          /* x, y, z: tiles per lattice unit */
   float4 offset;         /* x, y, z: tiles, 0 .. 1 */
-  float4 amplitude;      /* x, y, z: lattice units, of a term that moves places */
-  float value_amplitude; /* units of the value, of a term that adds to values */
+  float4 amplitude;      /* x, y, z: lattice units, of a term that moves places; of fur: root, 1 / (root - tip) */
+  float value_amplitude; /* units of the value, of a term that adds to values; what the scene states of others */
   float gain;            /* from octave to octave */
   int octaves;
   int first_texel;       /* of its tile */

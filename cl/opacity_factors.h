@@ -1,6 +1,6 @@
-/* What the gradient decides about a segment: factors on its extinction by the gradient's magnitude and by the
- * derivative along the ray, and emission and extinction from a function of value and magnitude (Engel and Ertl 2002,
- * section 5).
+/* What the gradient decides about a segment: factors on its extinction by the gradient's magnitude, by the
+ * derivative along the ray, and by hairs that grow along it; and emission and extinction from a function of value and
+ * magnitude (Engel and Ertl 2002, section 5).
  *
  * Tables in `factors` are two rows of `n` floats: places ascending (per edge; of two at one place the later one holds
  * there), and factors at them, linear in between. Of the layers of a function of two values only the places are there:
@@ -77,6 +77,36 @@ INLINE void weigh_by_gradient(const Scene *scene, Emission *e, Vectors gradient,
 #endif
   e->r *= factor, e->g *= factor, e->b *= factor, e->d *= factor;
 }
+
+#if OPACITY_FACTORS & OPACITY_FACTOR_FUR
+#define LONGEST_HAIR 32.0f /* edges from a sample to its root, at most */
+#define LONGEST_SHARE 1e6f
+
+/* e times the factors of fur at a lattice place of this value and gradient (local, per edge). A hair is as long as noise
+ * says at its root: where the value would be the root's if it changed evenly along the gradient. So noise, and with it
+ * the hair, is the same all along the gradient. A place without a gradient, or a value, is its own root. */
+INLINE void weigh_by_fur(const Scene *scene, Emission *e, Vectors gradient, Vectors place, floatN value)
+{
+  __constant const Effects *effects = scene->effects;
+  __constant const NoiseTerm *terms =
+      effects->noise_terms + effects->added_terms + effects->moving_terms + effects->tinting_terms;
+  const Vectors way = direction_to_lattice(effects, unit3(gradient));
+  const floatN slope = lane_max(length3(gradient), (floatN)1e-30f);
+  const floatN zero = 0.0f, one = 1.0f, longest = LONGEST_HAIR;
+  floatN factor = 1.0f;
+  _Pragma("unroll 1") for (int k = 0; k < effects->fur_terms; ++k) {
+    __constant const NoiseTerm *term = terms + k;
+    const floatN above = term->amplitude.x - value, away = select(zero, above, finite_lanes(above));
+    const floatN height = lane_clamp(away * term->amplitude.y, zero, (floatN)LONGEST_SHARE); /* 1 at the tip */
+    const Vectors root = sum3(place, scaled3(way, lane_clamp(away / slope, -longest, longest)));
+    const floatN sum = fractal_noise_value(scene->noise, term, root.x * term->scale.x, root.y * term->scale.y,
+                                           root.z * term->scale.z);
+    const floatN hair = 0.5f + 0.5f * lane_clamp(sum, -one, one);
+    factor *= lane_clamp(1.0f - term->value_amplitude * (height - hair), zero, one);
+  }
+  e->r *= factor, e->g *= factor, e->b *= factor, e->d *= factor;
+}
+#endif
 
 #endif
 

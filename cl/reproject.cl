@@ -34,7 +34,7 @@
 #define MOVE_OLD_CENTRE 19  /* column, row */
 #define MOVE_NEW_CENTRE 21
 #define MOVE_SPLAT 23       /* k */
-#define MOVE_EMPTY 24       /* whether rays that no place is near see nothing; with a splat of less than 3 pixels there are holes */
+#define MOVE_EMPTY 24       /* whether rays that no place is near see nothing; a splat below 3 pixels leaves holes */
 #define MOVE_BEHIND 25      /* edges per column and per row beyond the splat by which something is behind what hid it, */
 #define MOVE_BESIDE 27      /* from so many columns or rows on */
 

@@ -4,8 +4,9 @@
  *   lit = c (ambient + diffuse sum I max(N.L, 0)) + specular sum I max(N.H, 0)^shininess,   N = -gradient / |gradient|
  *
  * Lights are two items each: direction to the light (directional) or place (point), and in w its kind; colour times
- * intensity, and in w its number in the light volume, or -1. Spots and images have more (aimed_lights.h). A headlight shines from the eye, so that L is V for every
- * ray. Where the gradient has no direction nothing is shaded: c stays as it is.
+ * intensity, and in w its number in the light volume, or -1. Spots and images have more (aimed_lights.h). A headlight
+ * shines from the eye, so that L is V for every ray. Where the gradient has no direction nothing is shaded: c stays as it
+ * is.
  */
 #ifndef SHADE_H
 #define SHADE_H

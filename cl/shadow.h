@@ -183,6 +183,10 @@ INLINE floatN extinction_along(const Scene *scene, const Rays *ray, floatN t0, f
 #endif
 #if OPACITY_FACTORS
     weigh_by_gradient(scene, &e, gradient, direction);
+#if OPACITY_FACTORS & OPACITY_FACTOR_FUR
+    const Vectors place = {x, y, z};
+    weigh_by_fur(scene, &e, gradient, place, 0.5f * (v.front + v.back));
+#endif
 #endif
   }
 #endif

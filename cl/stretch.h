@@ -143,6 +143,9 @@ RARE floatN emission_position_of_thick(floatN q0, floatN q1, floatN a0, floatN a
                                        floatN moment, floatN change, intN thick)
 {
   const floatN one = 1.0f, least = 1e-30f;
+#if LIT_AT_ENDS
+  change = one; /* light may change by as much, whatever colours do */
+#endif
   const intN deep = MASK(depth > one);
   floatN at = emission_position(depth, moment);
   if (any_lane(deep)) {

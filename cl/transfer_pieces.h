@@ -159,7 +159,10 @@ LOOKED_UP PiecePart part_of_piece(intN piece, floatN w0, floatN w1, floatN units
   const floatN depth = rate * units;
   moment *= rough_reciprocal(lane_max(rate, (floatN)1e-30f));
   floatN at = emission_position(depth, moment);
-  const intN thick = active & is_thick(depth, moment) & MASK(w0 != w1);
+  intN thick = active & is_thick(depth, moment);
+#if !LIT_AT_ENDS
+  thick &= MASK(w0 != w1); /* of one colour */
+#endif
   if (any_lane(thick)) {
     const floatN a = PIECE_ROW(ROW_OPACITY), change = PIECE_ROW(ROW_OPACITY_CHANGE);
     const floatN red = fabs(PIECE_ROW(ROW_COLOR_CHANGE)), green = fabs(PIECE_ROW(ROW_COLOR_CHANGE + 1));

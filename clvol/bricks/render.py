@@ -13,6 +13,7 @@ from clvol.device.effect_switches import effect_switches
 from clvol.errors import SceneError
 from clvol.features import reduced_for_frames
 from clvol.features.compression import is_compressed
+from clvol.features.vocabulary import OPACITY_FACTORS
 from clvol.integrators.base import FrameData
 from clvol.integrators.raycast.caster import Raycaster
 from clvol.integrators.raycast.integrator import INTEGRATOR
@@ -158,6 +159,9 @@ def check_bricks(resolved: ResolvedScene, count: int) -> None:
     for switch, (key, reason) in _NOT_IN_PARTS.items():
         if switches.get(switch):
             raise SceneError(f"{resolved.origin}: {key}", f"got it for bricks, {reason}", "a scene without")
+    if switches.get("OPACITY_FACTORS", 0) & OPACITY_FACTORS["fur"]:
+        what = "got target 'fur' for bricks, and its noise is fixed to the whole volume"
+        raise SceneError(f"{resolved.origin}: noise", what, "a scene without")
     if count > (most := most_boxes(padded_size(resolved.volume))):
         raise SceneError(f"{resolved.origin}: volume", f"{count} bricks of so small a volume", f"at most {most}")
 

@@ -70,7 +70,7 @@ class EffectState:
         if not self.switches:
             return
         self.context = context
-        self._value_gain = volume.values.gain
+        self._values = volume.values
         self.space = LocalSpace(resolved.volume.grid, padded_size(resolved.volume))
         self.numbers = np.zeros(1, EFFECTS)
         none = {
@@ -91,8 +91,8 @@ class EffectState:
             gradients, scale = volume.gradients(resolved.gradient.operator)
             self.arrays["gradients"], self.numbers["gradient_scale"] = gradients, scale
         self._add_environment(resolved.environment, resolved.material.shininess)
-        if all_noise := (*resolved.noise, *resolved.attenuation_noise):
-            self.arrays["noise"] = context.upload(device_tiles(all_noise))
+        if resolved.all_noise:
+            self.arrays["noise"] = context.upload(device_tiles(resolved.all_noise))
             self._fill_noise(resolved)
         if "COMPOSITING" in self.switches:
             self._add_projection(resolved, volume)
@@ -189,13 +189,14 @@ class EffectState:
         """The terms at ``animation.time``."""
         grid, numbers = resolved.volume.grid, self.numbers[0]
         numbers["noise_terms"], numbers["added_terms"], numbers["moving_terms"] = device_noise(
-            (*resolved.noise, *resolved.attenuation_noise), grid, resolved.animation.time, self._value_gain
+            resolved.all_noise, grid, resolved.animation.time, self._values
         )
         numbers["tinting_terms"] = len(resolved.attenuation_noise)
+        numbers["fur_terms"] = len(resolved.fur)
         numbers["noise_reach"][:3] = 0.5 * grid.smallest_edge / np.asarray(grid.spacing)
 
     def _add_projection(self, resolved: ResolvedScene, volume: ResidentVolume) -> None:
-        moved = perturbation(resolved.noise, resolved.volume.grid, self._value_gain, volume.cell_shift)
+        moved = perturbation(resolved.noise, resolved.volume.grid, self._values.gain, volume.cell_shift)
         numbers = self.numbers[0]
         numbers["lowest_sample"], numbers["highest_sample"] = sample_bounds(volume, resolved, moved)
         numbers["lowest_value"], numbers["values_per_range"] = normalisation(volume, resolved)
@@ -218,12 +219,12 @@ class EffectState:
     def for_scene(self, resolved: ResolvedScene) -> EffectState:
         """The same for ``resolved``, which may differ only in ``animation.time`` and in the step."""
         other = self.copy()
-        changes = resolved.noise or self.switches.get("SHADOWS") or "COMPOSITING" in self.switches
+        changes = resolved.all_noise or self.switches.get("SHADOWS") or "COMPOSITING" in self.switches
         if self.switches and changes:
             other.numbers = self.numbers.copy()
             if self.switches.get("SHADOWS"):
                 other.numbers["shadow_step"] = shadow_step(resolved)
-            if resolved.noise or resolved.attenuation_noise:
+            if resolved.all_noise:
                 other._fill_noise(resolved)
             other.numbers["attenuation"] = attenuation_a_step(resolved)
             other.arrays["effects"] = self.context.upload(other.numbers)
@@ -238,7 +239,7 @@ class EffectState:
         if self.switches.get("GRADIENT") == GRADIENTS["precomputed"]:
             gradients, scale = volume.gradients(resolved.gradient.operator)
             other.arrays["gradients"], other.numbers["gradient_scale"] = gradients, scale
-        if resolved.noise:
+        if resolved.all_noise:
             other._fill_noise(resolved)
         if "COMPOSITING" in self.switches:
             other._add_projection(resolved, volume)

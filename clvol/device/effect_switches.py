@@ -33,11 +33,11 @@ def effect_switches(
     lit = is_lit(resolved)
     surfaces = resolved.isosurfaces
     refracts = any(surface.refraction != 1.0 for surface in surfaces)
-    factors = resolved.gradient_opacity is not None or resolved.directional_opacity is not None
+    factors = resolved.gradient_opacity is not None or resolved.directional_opacity is not None or resolved.fur
     faces = bool(surfaces) and resolved.ambient_occlusion is not None
     ends = lit and resolved.material.light_at == "ends"
     curves = resolved.refraction is not None
-    decides = factors or has_gradient_layers(resolved)
+    decides = bool(factors) or has_gradient_layers(resolved)
     switches = {
         "LIGHTING": int(lit),
         "LIGHTS": int(bool(resolved.lights)),

@@ -30,7 +30,7 @@ from typing import Protocol
 
 import numpy as np
 
-from clvol.device.memory import Perturbation
+from clvol.device.memory import Perturbation, ValueMap
 from clvol.errors import SceneError
 from clvol.features.vocabulary import NOISE_TARGETS as TARGETS
 from clvol.opencl.structs import MOST_NOISE_TERMS as MOST_TERMS
@@ -43,6 +43,8 @@ CHANNELS = 4  # x, y, z of a displacement; the value
 CENTRE = 4.0  # cycles per tile in the middle of the band
 # The error of a bound in float32: a few roundings per octave.
 _ROUNDING = 1.0 + 1e-5
+UNMAPPED = ValueMap()
+_FAR = 1e30  # what float32 holds
 _PLACE_ROUNDING = 0.01  # lattice units: far more than the rounding of a position
 
 
@@ -51,7 +53,7 @@ class Noise(Protocol):
 
     @property
     def target(self) -> str:
-        """"value" or "coordinate"."""
+        """"value", "coordinate", "attenuation" or "fur"."""
 
     @property
     def amplitude(self) -> float:
@@ -73,6 +75,14 @@ class Noise(Protocol):
     @property
     def velocity(self) -> Sequence[float]:
         """[3], tiles per second."""
+
+    @property
+    def root(self) -> float | None:
+        """Of fur, the value where hairs begin."""
+
+    @property
+    def tip(self) -> float | None:
+        """Of fur, the value where the longest end."""
 
 
 @lru_cache(maxsize=8)
@@ -178,13 +188,13 @@ def _bound(noise: Noise, channels: slice) -> float:
 
 
 def device_noise(
-    noises: Sequence[Noise], grid: Grid, time: float = 0.0, value_gain: float = 1.0
+    noises: Sequence[Noise], grid: Grid, time: float = 0.0, to_kernel: ValueMap = UNMAPPED
 ) -> tuple[np.ndarray, int, int]:
     """(terms, values, coordinates) for cl/noise.h: TERM_DTYPE [MOST_TERMS], those that change
-    values first, then those that move places, then those of attenuation, and the number of each of the first two. Only
-    ``time`` changes them from frame to frame.
+    values first, then those that move places, then those of attenuation and of fur, and the number of each of the
+    first two. Only ``time`` changes them from frame to frame.
 
-    ``value_gain``: the device's factor on differences of values (``ValueMap.gain``). Terms
+    ``to_kernel``: from values to those that kernels compute with. Terms
     refer to the tiles of ``device_tiles`` for the same noises. SceneError for more than MOST_TERMS.
     """
     if len(noises) > MOST_TERMS:
@@ -197,9 +207,12 @@ def device_noise(
         term["gain"] = noise.gain
         term["offset"][:3] = _offset(noise, time)
         if noise.target == "value":
-            term["value_amplitude"] = noise.amplitude * value_gain
+            term["value_amplitude"] = noise.amplitude * to_kernel.gain
         elif noise.target == "attenuation":
             term["value_amplitude"] = noise.amplitude
+        elif noise.target == "fur":
+            term["value_amplitude"] = noise.amplitude
+            term["amplitude"][:2] = _ends(noise, to_kernel)
         else:
             term["amplitude"][:3] = noise.amplitude / np.asarray(grid.spacing)
         term["octaves"], term["first_texel"] = noise.octaves, seeds.index(noise.seed) * TILE**3
@@ -210,6 +223,14 @@ def device_noise(
 def device_tiles(noises: Iterable[Noise]) -> np.ndarray:
     """uint32 [n 32^3]: the tiles of all seeds of ``noises``, one after another."""
     return np.concatenate([tile_words(noise_tile(seed)) for seed in _seeds(noises)])
+
+
+def _ends(fur: Noise, to_kernel: ValueMap) -> tuple[float, float]:
+    """Root, and 1 / (root - tip), in values that kernels compute with."""
+    if fur.root is None or fur.tip is None:
+        raise ValueError("fur without ends")
+    root, tip = (float(np.clip(to_kernel(value), -_FAR, _FAR)) for value in (fur.root, fur.tip))
+    return root, float(np.clip(1.0 / (root - tip), -_FAR, _FAR)) if root != tip else _FAR
 
 
 def _seeds(noises: Iterable[Noise]) -> list[int]:

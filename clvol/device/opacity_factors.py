@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 def factor_switches(resolved: ResolvedScene) -> dict[str, int]:
     bits = OPACITY_FACTORS["gradient"] * int(resolved.gradient_opacity is not None)
     bits |= OPACITY_FACTORS["directional"] * int(resolved.directional_opacity is not None)
+    bits |= OPACITY_FACTORS["fur"] * int(bool(resolved.fur))
     return {"OPACITY_FACTORS": bits, "TRANSFER_LAYERS": _layers_switch(resolved)}
 
 

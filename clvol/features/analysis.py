@@ -67,6 +67,7 @@ NAMES = (
     "precomputed gradients",
     "gradient opacity",
     "directional opacity",
+    "fur",
     "two-dimensional transfer function",
     "joint transfer function",
     "associated colours",

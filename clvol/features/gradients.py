@@ -19,6 +19,7 @@ def uses_of_gradients(scene: ResolvedScene, lit: bool) -> list[str]:
         "continuous refraction": scene.refraction is not None,
         "gradient opacity": scene.gradient_opacity is not None,
         "directional opacity": scene.directional_opacity is not None,
+        "fur": bool(scene.fur),
         "ambient occlusion of surfaces": scene.ambient_occlusion is not None and bool(scene.isosurfaces),
         "the two-dimensional transfer function": has_gradient_layers(scene),
     }

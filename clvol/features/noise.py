@@ -18,7 +18,7 @@ def _noise(found: Findings) -> None:
     if not noises:
         found.note(no(name, "the scene has no noise"))
         return
-    kept = tuple(_with_octaves_that_count(noise) for noise in noises if noise.amplitude != 0)
+    kept = tuple(with_octaves_that_count(noise) for noise in noises if noise.amplitude != 0)
     if not kept or found.blank:
         found.note(no(name, NOTHING_VISIBLE if kept else "the noise's amplitude is 0"))
         found.change(noise=())
@@ -36,7 +36,7 @@ def _amplitude(noise: Noise, found: Findings) -> float:
     return noise.amplitude * (found.scene.axis.slope if noise.target == "value" else 1.0)
 
 
-def _with_octaves_that_count(noise: Noise) -> Noise:
+def with_octaves_that_count(noise: Noise) -> Noise:
     if noise.octaves > 1 and noise.gain == 0:
         return noise.model_copy(update={"octaves": 1})
     return noise

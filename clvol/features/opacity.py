@@ -6,7 +6,9 @@ import numpy as np
 
 from clvol.features.effect import Effect, counted, no, yes
 from clvol.features.findings import Findings, has_no_gradient
-from clvol.features.values import steepest
+from clvol.features.noise import with_octaves_that_count
+from clvol.features.values import reachable, steepest
+from clvol.scene.noise import Noise
 from clvol.scene.opacity_factor import OpacityFactor
 from clvol.scene.resolve import ResolvedScene
 
@@ -21,6 +23,7 @@ def analyse(found: Findings) -> None:
         found.note(effect)
         if factor is not None and not effect.called_for:
             found.change(**{key: None})
+    _fur(found)
     layers, joint = "two-dimensional transfer function", "joint transfer function"
     is_joint = found.scene.transfer_layers and not has_gradient_layers(found.scene)
     effect = _layers(found, joint if is_joint else layers)
@@ -47,6 +50,32 @@ def _factor(found: Findings, name: str, factor: OpacityFactor | None) -> Effect:
     if idle is not None:
         return no(name, idle)
     return yes(name, f"the {name} goes down to {factor.factors.min():g}")
+
+
+def _fur(found: Findings) -> None:
+    scene, name = found.scene, "fur"
+    if not scene.fur:
+        found.note(no(name, "the scene has no fur"))
+        return
+    kept = tuple(with_octaves_that_count(hairs) for hairs in scene.fur if hairs.amplitude != 0)
+    growing = tuple(hairs for hairs in kept if _grows(hairs, scene))
+    reason = _nothing_to_weight(found)
+    if not growing:
+        reason = "no value of the volume lies beyond the root" if kept else "the noise's amplitude is 0"
+    if reason is not None:
+        found.note(no(name, reason))
+        found.change(fur=())
+        return
+    found.note(yes(name, f"{counted(len(growing), 'noise')} of target 'fur'"))
+    found.change(fur=growing)
+
+
+def _grows(hairs: Noise, scene: ResolvedScene) -> bool:
+    """Whether any segment may lie beyond the root: chords are shifted by their curvature, at most by the range."""
+    low, high = reachable(scene)
+    if hairs.root is None or hairs.tip is None:
+        return False
+    return 2 * low - high < hairs.root if hairs.tip < hairs.root else 2 * high - low > hairs.root
 
 
 def _is_one_up_to(factor: OpacityFactor, largest: float) -> bool:

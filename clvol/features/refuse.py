@@ -15,16 +15,18 @@ PLAIN = frozenset({"emission-absorption"})
 
 
 def check_effects(resolved: ResolvedScene) -> None:
-    """SceneError for an unknown filter and for noise on values that are classified before interpolation."""
+    """SceneError for an unknown filter and for noise or fur on values that are classified before interpolation."""
     integration, origin = resolved.integration, resolved.origin
     if integration.filter not in FILTERS:
         expected = " or ".join(repr(name) for name in FILTERS)
         raise SceneError(f"{origin}: integration.filter", f"got {integration.filter!r}", expected)
     check_kernel(integration, origin)
     if integration.classification == "pre" and integration.compositing == "over":
-        if any(effect.name == "noise" and effect.called_for for effect in effects(resolved)):
-            where = f"{origin}: integration.classification"
-            raise SceneError(where, "got 'pre' in a scene that calls for noise", "'post' or 'preintegrated'")
+        for effect in effects(resolved):
+            if effect.name in ("noise", "fur") and effect.called_for:
+                where = f"{origin}: integration.classification"
+                what = f"got 'pre' in a scene that calls for {effect.name}"
+                raise SceneError(where, what, "'post' or 'preintegrated'")
 
 
 def refuse_keys(resolved: ResolvedScene, known: dict[str, tuple[str, ...]]) -> None:

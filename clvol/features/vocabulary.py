@@ -34,13 +34,13 @@ SHADOW_METHODS = {"rays": 1, "volume": 2, "half-angle": 3}
 # What ambient occlusion darkens: AMBIENT_OCCLUSION.
 DARKENS = {"ambient": 1, "all": 2}
 # Bits of OPACITY_FACTORS.
-OPACITY_FACTORS = {"gradient": 1, "directional": 2}
+OPACITY_FACTORS = {"gradient": 1, "directional": 2, "fur": 4}
 # What layers of a transfer function are stated by: TRANSFER_LAYERS.
 TRANSFER_LAYERS = {"by-gradient": 1, "of-two": 2, "of-three": 3}
 # Roles of fields, and bits of FIELDS.
 FIELD_ROLES = {"label": 1, "density": 2, "mask": 4, "color": 8, "value": 16}
-# What a term of noise perturbs; bit 1 << n of NOISE says whether any does (not of attenuation).
-NOISE_TARGETS = {"value": 0, "coordinate": 1, "attenuation": 2}
+# What a term of noise perturbs; bit 1 << n of NOISE says whether any does (not of attenuation and fur).
+NOISE_TARGETS = {"value": 0, "coordinate": 1, "attenuation": 2, "fur": 3}
 LIGHTS = {"directional": 0, "point": 1, "headlight": 2, "spot": 3, "image": 4}
 CLIPS = {"plane": 0, "box": 1, "sphere": 2, "mesh": 3}
 # How a block's samples reach the device.

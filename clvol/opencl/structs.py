@@ -153,7 +153,8 @@ EFFECTS = struct(
     ("int", "diffuse_map_size specular_map_size sky_map_size diffuse_map specular_map sky_map"),
     ("int", "gradient_opacity_points directional_opacity_points layer_count layer_rows"),
     ("int", "gradient_opacity_table directional_opacity_table layer_table"),
-    ("int", "field_count added_terms moving_terms tinting_terms glow_points glow_table index_points index_table"),
+    ("int", "field_count added_terms moving_terms tinting_terms fur_terms"),
+    ("int", "glow_points glow_table index_points index_table"),
     ("float", "longest_path"),
 )
 """``Effects`` of cl/effects.h."""

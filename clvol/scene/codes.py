@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from clvol.scene.isosurface import Isosurface
+from clvol.scene.noise import Noise
 from clvol.transfer import TransferFunction
 from clvol.volume.axis import ValueAxis
 
@@ -78,6 +79,11 @@ def in_codes(resolved: ResolvedScene, code: Code, per_value: float) -> dict[str,
         value = float(np.clip(code(surface.value), *_FINITE))
         return surface.model_copy(update={"value": value})
 
+    def ends(hairs: Noise) -> Noise:
+        stated = {"root": hairs.root, "tip": hairs.tip}
+        coded = {key: float(np.clip(code(value), *_FINITE)) for key, value in stated.items() if value is not None}
+        return hairs.model_copy(update=coded)
+
     layers = (
         replace(
             layer,
@@ -100,6 +106,7 @@ def in_codes(resolved: ResolvedScene, code: Code, per_value: float) -> dict[str,
             scaled(term, "amplitude") if term.target == "value" else term
             for term in resolved.noise
         ),
+        "fur": tuple(map(ends, resolved.fur)),
     }
 
 

@@ -111,6 +111,7 @@ class ResolvedScene:
     fields: tuple[ResolvedField, ...] = ()
     noise: tuple[Noise, ...] = ()  # of values and coordinates
     attenuation_noise: tuple[Noise, ...] = ()  # of scattered light
+    fur: tuple[Noise, ...] = ()
     depth_cue: DepthCue | None = None
     animation: Animation = Animation()
     channels: tuple[ResolvedChannel, ...] = ()  # whose pictures are blended; ``volume`` is that of the first
@@ -141,6 +142,11 @@ class ResolvedScene:
         for field in self.fields:
             named += field.colors_of_voxels.channels if field.colors_of_voxels is not None else ()
         return tuple({id(volume): volume for volume in named}.values())
+
+    @property
+    def all_noise(self) -> tuple[Noise, ...]:
+        """The noise of all targets."""
+        return (*self.noise, *self.attenuation_noise, *self.fur)
 
     @property
     def displayed_function(self) -> TransferFunction:
@@ -243,8 +249,9 @@ def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
         fields=tuple(fields),
         channels=() if mixes or len(channels) == 1 else channels,
         mixed_channels=len(channels) if mixes else 0,
-        noise=tuple(term for term in scene.noise if term.target != "attenuation"),
+        noise=tuple(term for term in scene.noise if term.target in ("value", "coordinate")),
         attenuation_noise=tuple(term for term in scene.noise if term.target == "attenuation"),
+        fur=tuple(term for term in scene.noise if term.target == "fur"),
         depth_cue=cue,
         animation=scene.animation,
         compression=scene.compression,

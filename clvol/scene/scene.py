@@ -114,7 +114,7 @@ class Scene(SceneTables):
     field : sequence of FieldSettings
         Up to three further volumes: labels, a second medium, a mask. ``file`` may be a ``Volume``.
     noise : sequence of Noise
-        Up to four noises that perturb values or positions.
+        Up to four noises that perturb values, positions or scattered light, or make fur.
     depth_cue : DepthCue, optional
         Fading with distance from the eye.
     animation : Animation

@@ -198,7 +198,7 @@ class SceneTables(Table):
     )
     noise: Annotated[tuple[Noise, ...], AsTuple] = Field(
         (),
-        title="Tiling noise that perturbs values, positions or the attenuation of scattered light. At most four.",
+        title="Tiling noise that perturbs values, positions or scattered light, or makes fur. At most four.",
         description=_TABLES,
     )
     depth_cue: DepthCue | None = Field(None, title="Fading with distance from the eye.", description=_TABLE)

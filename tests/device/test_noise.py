@@ -11,6 +11,7 @@ from helpers.paths import DATA
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from clvol.device.memory import ValueMap
 from clvol.device.noise import (
     CENTRE,
     MOST_TERMS,
@@ -309,5 +310,5 @@ def test_terms_of_a_seed_share_a_tile():
     made, values, coordinates = device_noise(noises, GRID)
     assert (values, coordinates) == (2, 1)
     assert made["first_texel"][:3].tolist() == [0, TILE**3, 0]
-    doubled, *_ = device_noise([Term()], GRID, value_gain=0.25)
+    doubled, *_ = device_noise([Term()], GRID, to_kernel=ValueMap(gain=0.25))
     assert doubled["value_amplitude"][0] == 0.25 and not doubled["amplitude"][0].any()

@@ -61,6 +61,7 @@ CALLED = [
     ({"field": [{"file": VOLUME, "role": "density", "points": POINTS}]}, ["density field"]),
     ({"field": [{"file": LABELS, "role": "mask"}]}, ["mask field"]),
     ({"noise": [{"target": "value", "amplitude": 3.0}]}, ["noise"]),
+    ({"noise": [{"target": "fur", "amplitude": 3.0, "root": 200.0, "tip": 90.0}]}, ["gradients", "fur"]),
     ({"animation": {"time": 0.5, "cycle": 0.5}}, ["colour cycling"]),
     ({"depth_cue": {}}, ["depth cueing"]),
     ({"integration": {"filter": "nearest"}}, ["nearest filter"]),

@@ -13,6 +13,8 @@ from reference.field import Field, GridSampler
 from reference.integral_table import IntegralTable
 from reference.noise import fractal_noise
 
+LONGEST_HAIR = 32.0  # voxel edges from a sample to its root
+
 
 @dataclass
 class Segment:
@@ -48,6 +50,7 @@ class Medium:
         if integration.filter == "nearest" and self.classification == "preintegrated":
             self.classification = "post"  # values jump: a chord between them is not there
         self.noise = tuple(term for term in resolved.noise if term.amplitude != 0)
+        self.fur = resolved.fur
         self.tile = tile
         animation = resolved.animation
         self.time = animation.time
@@ -156,6 +159,8 @@ class Medium:
             along = np.abs(np.sum(gradient * direction, axis=1))
             along = np.where(np.isfinite(along), along, 0.0)
             depth = depth * _factor(self.directional_opacity, along)
+        for hairs in self.fur:
+            depth = depth * self._fur_factor(hairs, start, middle, end, gradient, before, curved, steps)
         color, depth = self._with_fields(color, depth, start, middle, end, length)
         light: np.ndarray | float = 0.0
         if self.glow is not None:
@@ -166,6 +171,22 @@ class Medium:
             front, back = self._chord(start, end, before, curved, steps)
             place = classify.placed_chord(self.functions[0], front, back, length)[2]
         return Segment(color, depth, middle, gradient, place, light)
+
+    def _fur_factor(self, hairs, start, middle, end, gradient, before, curved, steps) -> np.ndarray:
+        """The share [n] of the extinction that hairs have in segments: all of it up to the root's value."""
+        value = self.value(middle)
+        if self.classification == "preintegrated":
+            value = np.mean(self._chord(start, end, before, curved, steps), axis=0)
+        away = np.where(np.isfinite(value), hairs.root - value, 0.0)
+        height = np.maximum(away / (hairs.root - hairs.tip), 0.0)
+        slope = _finite_norm(gradient)
+        has = (slope > 0)[:, None]
+        way = np.where(has, gradient, 0.0) / np.where(has, slope[:, None], 1.0)
+        longest = LONGEST_HAIR * self.grid.smallest_edge
+        reach = np.clip(away / np.where(slope > 0, slope, 1.0), -longest, longest)
+        tile = noise_tile(hairs.seed) if self.tile is None else self.tile
+        noise = fractal_noise(hairs, tile, self.grid, middle + way * reach[:, None], self.time)[:, 3]
+        return np.clip(1.0 - hairs.amplitude * (height - 0.5 * (1.0 + np.clip(noise, -1.0, 1.0))), 0.0, 1.0)
 
     def _light(self, start, middle, end, length, before, curved, steps) -> np.ndarray:
         """What associated colours emit along the chord of each segment [n, 3]: differences of their integral."""

@@ -57,7 +57,10 @@ def tables(axis: ValueAxis, volume: Volume, **parts) -> dict:
                 ]
             },
             "transfer_layer": [{"magnitude": 12.0 * gain, "points": points(40, 120, 200)}],
-            "noise": [{"target": "value", "amplitude": 6.0 * gain, "frequency": 0.2}],
+            "noise": [
+                {"target": "value", "amplitude": 6.0 * gain, "frequency": 0.2},
+                {"target": "fur", "amplitude": 3.0, "root": axis.values(160.0), "tip": axis.values(60.0)},
+            ],
         }
     return scene | parts
 
@@ -100,6 +103,9 @@ def said_in_stored(axis: ValueAxis, stored: np.ndarray, **parts) -> tuple[dict, 
         other["transfer_layer"][k]["points"] = [
             {**point, "value": in_stored(point["value"])} for point in layer["points"]
         ]
+    for k, noise in enumerate(one.get("noise", ())):
+        ends = {key: in_stored(noise[key]) for key in ("root", "tip") if key in noise}
+        other["noise"][k] = {**other["noise"][k], **ends}
     for k, surface in enumerate(one.get("isosurface", ())):
         other["isosurface"][k] = {**surface, "value": in_stored(surface["value"])}
     return one, other

@@ -24,6 +24,7 @@ from clvol.integrators.multiresolution.blocked_volume import BlockedVolume, Held
 from clvol.integrators.raycast.caster import SECONDS_A_SAMPLE, Raycaster
 from clvol.integrators.raycast.history import History
 from clvol.integrators.raycast.march import March
+from clvol.integrators.raycast.surface_tiles import without_surfaces
 from clvol.integrators.raycast.switches import raycast_switches
 from clvol.integrators.tiles.geometry import TileGrid
 from clvol.integrators.tiles.launch import PacketRenderer
@@ -155,7 +156,7 @@ class BlockCaster(Raycaster):
         self.light_volume_samples = 0
         if self._casts_shadows:
             self._build_shadows()
-        self.without_surfaces = self._beside_surfaces()
+        self.without_surfaces = without_surfaces(self)
         self.march.scene_changed(self)
 
     def _projected_cells(self, volume: BlockedVolume) -> np.ndarray:

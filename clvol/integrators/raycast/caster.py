@@ -35,6 +35,7 @@ from clvol.integrators.raycast.listed import listed_by_tiles
 from clvol.integrators.raycast.march import March, RayMarch
 from clvol.integrators.raycast.picture import PictureParts, TilesDone, WholePicture
 from clvol.integrators.raycast.step_map import step_map, upload_steps
+from clvol.integrators.raycast.surface_tiles import without_surfaces
 from clvol.integrators.raycast.switches import raycast_switches
 from clvol.integrators.raycast.warm_up import warm_up
 from clvol.opencl.arguments import reads, writes
@@ -174,7 +175,7 @@ class Raycaster:
         self._follow_data()
         if self.switches.get("CONSTANT_CELLS"):
             self.effects.set_constant(distance_map(context, changing_cells(self), bool(self.octant_cells)))
-        self.without_surfaces = self._beside_surfaces()
+        self.without_surfaces = without_surfaces(self)
         self.march.scene_changed(self)
 
     def _set_colors(self) -> None:
@@ -195,11 +196,10 @@ class Raycaster:
 
     def _build_shadows(self) -> None:
         """Fills the light volume, where there is one. No camera changes it."""
-        variant, arrays = self._sample_arguments
+        variant, own = self._sample_arguments
         if self.switches["SHADOWS"] == METHODS["volume"] and self.visible_share:
-            view = self.volume_view()
             self.effects.arrays["light_volume"], self.light_volume_samples = fill_light_volume(
-                self.context, self.resolved, self.switches, view, variant, {**self._scene_arrays(), **arrays}
+                self.context, self.resolved, self.switches, self.volume_view(), variant, {**self._scene_arrays(), **own}
             )
 
     def _build_occlusion(self) -> None:
@@ -234,20 +234,6 @@ class Raycaster:
         self.surface_cells = mask
         return mask
 
-    def _beside_surfaces(self) -> Raycaster | None:
-        """A caster for tiles that see no surface, but may see something else. It computes the same without testing for
-        surfaces. None where every tile needs that test."""
-        switches = self.effects.switches
-        if not switches.get("ISOSURFACES") or switches["REFRACTION"]:
-            return None  # bent rays go anywhere
-        if not switches["TRANSLUCENT"] or switches["SHADOWS"] == METHODS["rays"]:
-            return None  # rays to lights may meet surfaces that the eye's do not
-        other = copy.copy(self)
-        other.effects = self.effects.copy()
-        other.effects.switches = {**switches, "ISOSURFACES": 0}
-        other.switches = {**self.switches, "ISOSURFACES": 0}
-        return other
-
     def _build_table(self) -> None:
         origin = float(np.float32(self.nodes.first))
         functions, values = self._functions, self.volume.values
@@ -278,12 +264,12 @@ class Raycaster:
             other._build_table()
             other._follow_data()
         later = resolved.animation.time != self.resolved.animation.time
-        moved = later and bool(resolved.noise or resolved.attenuation_noise)  # cycling moves no opacity
+        moved = later and bool(resolved.all_noise)  # cycling moves no opacity
         if other._casts_shadows and (moved or shadow_step(resolved) != shadow_step(self.resolved)):
             other._build_shadows()
         if moved:
             other._build_occlusion()
-        other.without_surfaces = other._beside_surfaces()
+        other.without_surfaces = without_surfaces(other)
         other.march = self.march.for_scene(other, self)
         return other
 

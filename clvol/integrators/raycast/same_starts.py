@@ -31,15 +31,15 @@ class Facts:
     def of(cls, scene: ResolvedScene, contents: bytes = b"") -> Facts:
         """``contents``: what the device holds of the volume, if that changes."""
         integration = scene.integration
-        moves = any(any(term.velocity) for term in scene.noise)
+        moves = any(any(term.velocity) for term in (*scene.noise, *scene.fur))
         by_gradient = scene.gradient_opacity, scene.directional_opacity
-        gradients = any(factor is not None for factor in by_gradient) or scene.transfer_layers
+        gradients = any(factor is not None for factor in by_gradient) or scene.transfer_layers or scene.fur
         same = {
             "the volume": (scene.volume,),
             "the blocks": (contents, scene.multiresolution.interblock),
             "the fields": scene.fields,
             "the clips": scene.clips,
-            "the noise": (*scene.noise, scene.animation.time if moves else 0.0),
+            "the noise": (*scene.noise, *scene.fur, scene.animation.time if moves else 0.0),
             "the filter": tuple(getattr(integration, name) for name in _OF_FILTER),
             "the step": (integration.step,),
             "the classification": (integration.classification,),

@@ -248,6 +248,7 @@ COUNTED = (
      {"gradients", "surface_tests", "surface_hits", "bends"}),
     ({"clip": [{"point": [16.0, 16.0, 16.0], "normal": [1.0, 0.2, 0.1]}]}, set()),
     ({"noise": [{"target": "value", "amplitude": 2.0}]}, set()),
+    ({"noise": [{"target": "fur", "amplitude": 2.0, "root": 24.0, "tip": 9.0}]}, {"gradients"}),
     ({"depth_cue": {}}, set()),
     ({"animation": {"time": 0.3, "cycle": 0.5}}, set()),
     ({"integration": {"compositing": "maximum"}}, set()),
