@@ -26,6 +26,7 @@ from clvol.device.volume import DeviceVolume, ResidentVolume
 from clvol.features import reduced_for_frames
 from clvol.features.gradient_storage import DeviceLimits
 from clvol.integrators.base import FrameData, Progress, Shared
+from clvol.integrators.raycast.bending_cells import bending_cells
 from clvol.integrators.raycast.cell_depths import cell_depths
 from clvol.integrators.raycast.coherent_parts import parts_from_history
 from clvol.integrators.raycast.constant_cells import changing_cells
@@ -149,7 +150,7 @@ class Raycaster:
             self.effects.set_hidden(hidden_score(resolved.integration.compositing, self.gate))
         fields = self.effects.switches and self.effects.fields
         if fields:
-            mask = ((mask | fields.shown) & fields.kept) | self._bending_cells()
+            mask = ((mask | fields.shown) & fields.kept) | bending_cells(self)
         self.shown = mask
         self.visible_share = float(mask.mean())
         self.switches = raycast_switches(
@@ -213,15 +214,6 @@ class Raycaster:
 
     def _scene_arrays(self) -> dict[str, DeviceArray]:
         return {"volume": self.volume.voxels, "table": self.table, "distances": self.distances}
-
-    def _bending_cells(self) -> np.ndarray | bool:
-        """The cells in which the index of refraction may change: what masks hide bends rays all the same."""
-        index = self.resolved.refraction
-        if index is None or index.shape is None:
-            return False
-        shape = device_function(index.shape, self.volume.values)
-        between, at = visible_cells(shape, self.nodes.values), shape.opacity(self.nodes.values) > 0
-        return visible_mask(self.volume, self.resolved.integration.filter, self.nodes, between, at, self._moved)
 
     def _surface_cells(self) -> np.ndarray:
         """bool [z, y, x]: cells in which an iso-surface can be. The effects get the distances to them."""
@@ -477,8 +469,7 @@ class Raycaster:
         return {**named, "occlusion_samples": self.occlusion_samples} if self.occlusion_samples else named
 
     def _most_samples(self) -> float:
-        grid = self.resolved.volume.grid
-        corners = grid.world_corners()
+        corners = self.resolved.volume.grid.world_corners()
         diagonal = np.linalg.norm(corners.max(axis=0) - corners.min(axis=0))
         return float(diagonal / self.length)
 
