@@ -202,8 +202,7 @@ typedef struct {
 #if EFFECTS
   const Scene *scene;
 #if HELD_LIGHT
-  struct LightQueue *queue;    /* of the tile (pyramid_light.h), */
-  struct PixelPacket *packets; /* of these */
+  void *queue, *packets; /* of the tile: what segments wait in for their light, and whose they are (pyramid_light.h) */
 #endif
 #endif
 } Source;

@@ -260,12 +260,13 @@ INLINE void queue_lit(const Source *in, SegmentColor s, const PixelPacket *p, fl
   shows &= ~plain;
   if (!any_lane(shows)) return;
 #endif
-  LightQueue *queue = in->queue;
-  if (queue->count > MOST_QUEUED - LANES) light_queue(in->scene, queue, in->packets, counted);
+  LightQueue *queue = (LightQueue *)in->queue;
+  PixelPacket *packets = (PixelPacket *)in->packets;
+  if (queue->count > MOST_QUEUED - LANES) light_queue(in->scene, queue, packets, counted);
 #if LIGHTING
   count_lanes(&counted[COUNT_GRADIENTS], shows);
 #endif
-  queue_segment(in->scene, in->pyramid, queue, s, p, (int)(p - in->packets), middle, part, shows);
+  queue_segment(in->scene, in->pyramid, queue, s, p, (int)(p - packets), middle, part, shows);
 }
 
 #else

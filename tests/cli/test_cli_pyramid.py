@@ -46,7 +46,6 @@ def test_a_volume_is_rendered_and_its_samples_are_counted(run, volume, folder, d
         (('integration.compositing="maximum"',), "integration.compositing: got 'maximum'"),
         (('integration.filter="nearest"',), "integration.filter: got 'nearest'"),
         (("image.ray_spacing=4",), "image.ray_spacing: got 4"),
-        (("depth_cue.strength=0.5",), "depth cue"),
     ],
 )
 def test_what_it_cannot_do_is_said_in_one_line(run, volume, folder, wrong, said):
@@ -56,10 +55,10 @@ def test_what_it_cannot_do_is_said_in_one_line(run, volume, folder, wrong, said)
     assert not (folder / "a.npy").exists()
 
 
-def test_lights_and_surfaces_are_refused_by_name(run, volume, folder):
+def test_surfaces_noise_and_round_clips_are_refused_by_name(run, volume, folder):
     scene = '[volume]\nfile = "v.npy"\n[integration]\nmethod = "pyramid"\n'
     for table, said in (
-        ('[[light]]\ntype = "headlight"\n', "light"),
+        ('[[noise]]\ntarget = "value"\namplitude = 9.0\n', "noise"),
         ("[[isosurface]]\nvalue = 100.0\n", "surface"),
         ('[[clip]]\ntype = "sphere"\ncenter = [20.0, 20.0, 20.0]\nradius = 9.0\n', "clip"),
         ('[[clip]]\ntype = "box"\nlower = [9, 9, 9]\nupper = [20, 20, 20]\nkeep = "outside"\n', "clip"),

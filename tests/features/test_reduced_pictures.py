@@ -24,6 +24,11 @@ FLAT = Volume(np.full((8, 9, 10), 200, np.uint8))
 def same_picture(tables, volume=VOLUME, function=SMOOTH) -> None:
     if "shadow" in tables:  # coarse: the twin is slow
         tables = tables | {"shadow": tables["shadow"] | {"resolution": 4, "step": 2.0}}
+    if "ambient_occlusion" in tables:
+        coarse = {"resolution": 4, "directions": 8, "step": 2.0}
+        tables = tables | {"ambient_occlusion": {**tables["ambient_occlusion"], **coarse}}
+    tables = dict(tables)
+    function = tables.pop("function", function)
     scene = Scene(
         volume=volume, transfer_function=function, camera=CAMERA,
         image=ImageSettings(width=7, height=6),
@@ -36,6 +41,8 @@ def same_picture(tables, volume=VOLUME, function=SMOOTH) -> None:
 
 @pytest.mark.parametrize("tables", [tables for tables, _ in CALLED])
 def test_a_scene_with_an_effect_keeps_its_picture(tables):
+    if tables.get("integration", {}).get("filter") == "table":
+        pytest.skip("the twin has no filters by tables, from which reduction takes nothing away")
     same_picture(tables)
 
 
