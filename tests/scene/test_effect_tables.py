@@ -351,7 +351,7 @@ def test_the_text_of_any_tables_reads_back(folder, tables):
 
 # (override of the full scene, key that the error names, value as shown, part of what was expected)
 MISTAKES = [
-    ("light.1={type=\"directional\"}", "light.1.direction", "missing", "directional light"),
+    ("light.1={type=\"directional\"}", "light.1.direction", "missing", "light of type 'directional'"),
     ("isosurface.0.value=nan", "isosurface.0.value", "nan", "a finite number"),
     ("isosurface.0.refraction=0", "isosurface.0.refraction", "0", "from 0.1 to 10"),
     ("isosurface.0.back_color=[2,0,0]", "isosurface.0.back_color.0", "2", "from 0 to 1"),
