@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from clvol.scene.camera import Camera
-from clvol.scene.triples import Triple, difference, dot, scaled
 from clvol.schedule.tiles import TILE
 from clvol.volume import Grid
 from clvol.volume.grid import GridFloats
+from clvol.volume.triples import Triple, added, difference, dot, scaled
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,9 +136,9 @@ def ray_frame(
     # farther from the view's axis than it meets the domain, however wide the view.
     distance = max(dot(difference(of_grid.centre, eye), forward) - reach, 0.0)
     # eye + distance * forward - centre is formed so that a far eye cancels before it is rounded.
-    offset = _sum(difference(eye, of_grid.centre), scaled(distance, forward))
+    offset = added(difference(eye, of_grid.centre), scaled(distance, forward))
     # An axis of one voxel is held twice.
-    origin = [x + 0.5 * (n == 1) for x, n in zip(_sum(_lattice(of_grid, offset), of_grid.middle), grid.size)]
+    origin = [x + 0.5 * (n == 1) for x, n in zip(added(_lattice(of_grid, offset), of_grid.middle), grid.size)]
 
     if camera.projection == "orthographic":
         pixel, tangent = picture_height(camera) / height, 0.0
@@ -164,10 +164,6 @@ def ray_frame(
         distance=distance / unit,
         unit=unit,
     )
-
-
-def _sum(a: Triple, b: Triple) -> Triple:
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 def _lattice(grid: GridFloats, vector: Triple) -> Triple:

@@ -17,9 +17,9 @@ from clvol.features.values import reachable
 from clvol.scene.camera import Camera
 from clvol.scene.clip import Clip, MeshClip
 from clvol.scene.resolve import ResolvedScene, default_opacity_unit
-from clvol.scene.triples import difference, dot
 from clvol.transfer import PRESETS, TransferFunction
 from clvol.volume import Grid
+from clvol.volume.triples import difference, dot
 
 BLANK = 1e-3  # opacity below which nothing is visible
 _FAINT = 0.02  # largest opacity of any ray below which the unit is probably a mistake

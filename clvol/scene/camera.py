@@ -13,7 +13,7 @@ from clvol.choice.view import View, axes_of, is_view, named_view
 from clvol.errors import SceneError
 from clvol.scene.image import ImageSettings
 from clvol.scene.table import Length, Number, Table, Vector, wrong
-from clvol.scene.triples import Triple, cross, difference, norm, scaled, triple, unit
+from clvol.volume.triples import Triple, cross, difference, norm, scaled, triple, unit
 
 if TYPE_CHECKING:
     from clvol.volume import Grid

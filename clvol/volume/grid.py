@@ -8,7 +8,7 @@ first voxel's centre.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -16,14 +16,12 @@ from typing import NamedTuple
 import numpy as np
 
 from clvol.errors import VolumeError
+from clvol.volume.triples import Triple, triple
 
 # Headers write directions with about six digits; a unit vector may be off by that much.
 _UNIT_TOLERANCE = 1e-3
 # Unit axes with a smaller determinant count as lying in one plane.
 _SINGULAR = 1e-6
-
-
-_Triple = tuple[float, float, float]
 
 
 class GridFloats(NamedTuple):
@@ -34,11 +32,11 @@ class GridFloats(NamedTuple):
     world units.
     """
 
-    linear: tuple[_Triple, _Triple, _Triple]
-    columns: tuple[_Triple, _Triple, _Triple]
-    middle: _Triple
-    centre: _Triple
-    half: _Triple
+    linear: tuple[Triple, Triple, Triple]
+    columns: tuple[Triple, Triple, Triple]
+    middle: Triple
+    centre: Triple
+    half: Triple
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -141,8 +139,8 @@ class Grid:
         centre = (self._index_to_world @ np.append(middle, 1.0))[:3]
         half = 0.5 * (upper - lower) * np.asarray(self.spacing)
         rows = self._world_to_index[:3, :3], self.direction.T
-        linear, columns = ((_floats(x), _floats(y), _floats(z)) for x, y, z in rows)
-        return GridFloats(linear, columns, _floats(middle), _floats(centre), _floats(half))
+        linear, columns = ((triple(x), triple(y), triple(z)) for x, y, z in rows)
+        return GridFloats(linear, columns, triple(middle), triple(centre), triple(half))
 
     def world_corners(self) -> np.ndarray:
         """(8, 3) float64: the domain's corners in world space, x changing fastest, then y, z."""
@@ -168,11 +166,6 @@ class Grid:
 
     def __hash__(self) -> int:
         return hash((self.shape, self.spacing, self.origin, tuple(self.direction.ravel())))
-
-
-def _floats(vector: Iterable[float]) -> _Triple:
-    x, y, z = vector
-    return float(x), float(y), float(z)
 
 
 def _show(values: Sequence[float] | np.ndarray) -> str:

@@ -18,6 +18,10 @@ def difference(a: Triple, b: Triple) -> Triple:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
+def added(a: Triple, b: Triple) -> Triple:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
 def scaled(factor: float, a: Triple) -> Triple:
     return factor * a[0], factor * a[1], factor * a[2]
 
