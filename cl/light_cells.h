@@ -5,6 +5,19 @@
 #include "effects.h"
 #include "lanes.h"
 #include "sample_volume.h"
+#include "vectors.h"
+#include "view.h"
+
+/* The lattice points of the points numbered `point`, x first, of a grid of `size` from the volume's first voxel to its
+ * last. */
+INLINE Vectors grid_place(__constant const View *view, int4 size, intN point)
+{
+  const intN z = point / (size.x * size.y), y = point / size.x - z * size.y, x = point - (z * size.y + y) * size.x;
+  const Vectors place = {TO_FLOAT(x) * (view->upper.x / (float)(size.x - 1)),
+                         TO_FLOAT(y) * (view->upper.y / (float)(size.y - 1)),
+                         TO_FLOAT(z) * (view->upper.z / (float)(size.z - 1))};
+  return place;
+}
 
 /* A place in such a grid: its cell's first point, in floats, where it is in the cell, and how far rows and slices are
  * apart. */

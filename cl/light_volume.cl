@@ -12,6 +12,7 @@
  *
  * Switches (-D): those of the picture.
  */
+#include "light_cells.h"
 #include "render_packet.h"
 
 #if SHADOWS == SHADOWS_VOLUME
@@ -62,10 +63,7 @@ __kernel WIDE_VECTORS void light_volume(SCENE_PARAMETERS, __global const float4 
   const Scene scene_ = SCENE;
   const Scene *scene = &scene_;
   const intN point = min(item * LANES + LANE_INDEX, (intN)(points - 1));
-  const intN z = point / (size.x * size.y), y = point / size.x - z * size.y, x = point - (z * size.y + y) * size.x;
-  const Vectors place = {TO_FLOAT(x) * (view->upper.x / (float)(size.x - 1)),
-                         TO_FLOAT(y) * (view->upper.y / (float)(size.y - 1)),
-                         TO_FLOAT(z) * (view->upper.z / (float)(size.z - 1))};
+  const Vectors place = grid_place(view, size, point);
   const Vectors here = to_local(effects, place.x, place.y, place.z);
   const float4 at = items[effects->first_light + LIGHT_ROWS * light];
   const floatN reach = distance_to_light(at, here);

@@ -17,6 +17,7 @@
 #include "rays.h"
 #include "scene.h"
 #include "skip_empty.h"
+#include "skip_steps.h"
 
 /* Steps that a segment may have that begins at `at`, at most up to `last`. */
 INLINE intN steps_from(__global const uchar *steps, __constant const View *view, const Rays *ray, intN at, intN last)
@@ -64,13 +65,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
 #endif
     const Cells cells = cells_at(distances, view, from, &ray);
     if (any_lane(MASK(i <= last) & (MASK(cells.distance > 0) | MASK(from >= span_to)))) {
-      const intN goes_on = MASK(i <= last);
-      const floatN visible_at = next_visible_from(cells, distances, view, from, span_to, goes_on, &ray, counted);
-      const floatN finite = lane_clamp(visible_at, (floatN)0.0f, TO_FLOAT(max(last, (intN)0)) + 1.0f);
-      const intN next = TO_INT(MIDPOINTS ? ceil(finite - 0.5f) : finite) - (MIDPOINTS ? 0 : 1);
-      const intN leaps = goes_on & MASK(next > i);
-      last = select(last, (intN)DONE, goes_on & MASK(visible_at >= ray.length));
-      i = select(i, next, leaps);
+      const intN leaps = leap_along(cells, distances, view, from, span_to, &ray, &i, &last, counted);
       run = select(run, (intN)0, leaps);
     }
 #endif

@@ -3,6 +3,7 @@
  * Switches (-D): those of the picture.
  */
 #define FADES_WITH_DISTANCE 1
+#include "light_cells.h"
 #include "shadow.h"
 
 /* ways     float4 [directions]: local, of unit length
@@ -23,10 +24,7 @@ __kernel WIDE_VECTORS void occlusion_volume(SCENE_PARAMETERS, __global const flo
   const Scene scene_ = SCENE;
   const Scene *scene = &scene_;
   const intN point = min(item * LANES + LANE_INDEX, (intN)(points - 1));
-  const intN z = point / (size.x * size.y), y = point / size.x - z * size.y, x = point - (z * size.y + y) * size.x;
-  const Vectors place = {TO_FLOAT(x) * (view->upper.x / (float)(size.x - 1)),
-                         TO_FLOAT(y) * (view->upper.y / (float)(size.y - 1)),
-                         TO_FLOAT(z) * (view->upper.z / (float)(size.z - 1))};
+  const Vectors place = grid_place(view, size, point);
   const intN all = MASK(item * LANES + LANE_INDEX < points);
   floatN mean = 0.0f, open = 0.0f;
   Vectors way = {0.0f, 0.0f, 0.0f};
