@@ -127,5 +127,6 @@
 #define MOST_HALVES 16
 #define MOST_LEVELS 5
 #define MOST_FILTER_TERMS 9
+#define MOST_VOLUME_LEVELS 10
 
 #endif

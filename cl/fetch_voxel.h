@@ -54,6 +54,8 @@ INLINE intN corner_offset(__global const uchar *volume, __constant const View *v
 INLINE size_t row_bytes(__constant const View *view) { return ELEMENT_BYTES * (size_t)view->row_stride; }
 INLINE size_t slice_bytes(__constant const View *view) { return ELEMENT_BYTES * (size_t)view->slice_stride; }
 
+/* fetch_corners_apart() takes the bytes from one row and from one slice to the next: levels have others (volume_levels.h). */
+
 #if VOXEL_BITS == 8
 
 #if VOXEL_SIGNED
@@ -68,9 +70,10 @@ typedef struct {
 
 #if VOXEL_PAIRS
 
-INLINE FetchedCorners fetch_corners_at(__global const uchar *volume, __constant const View *view, intN at)
+INLINE FetchedCorners fetch_corners_apart(__global const uchar *volume, __constant const View *view, intN at, size_t row,
+                                          size_t slice)
 {
-  const FetchedCorners f = {gather2(volume, at), gather2(volume + slice_bytes(view), at)};
+  const FetchedCorners f = {gather2(volume, at), gather2(volume + slice, at)};
   return f;
 }
 
@@ -84,9 +87,9 @@ INLINE Corners decode_corners(FetchedCorners f, __constant const View *view)
 
 #else
 
-INLINE FetchedCorners fetch_corners_at(__global const uchar *volume, __constant const View *view, intN at)
+INLINE FetchedCorners fetch_corners_apart(__global const uchar *volume, __constant const View *view, intN at, size_t row,
+                                          size_t slice)
 {
-  const size_t row = row_bytes(view), slice = slice_bytes(view);
   const FetchedCorners f = {(gather1(volume, at) & 0xffffu) | (gather1(volume + row, at) << 16u),
                             (gather1(volume + slice, at) & 0xffffu) | (gather1(volume + slice + row, at) << 16u)};
   return f;
@@ -116,9 +119,9 @@ typedef struct {
   uintN w00, w10, w01, w11; /* wYZ */
 } FetchedCorners;
 
-INLINE FetchedCorners fetch_corners_at(__global const uchar *volume, __constant const View *view, intN at)
+INLINE FetchedCorners fetch_corners_apart(__global const uchar *volume, __constant const View *view, intN at, size_t row,
+                                          size_t slice)
 {
-  const size_t row = row_bytes(view), slice = slice_bytes(view);
   const FetchedCorners f = {gather2(volume, at), gather2(volume + row, at), gather2(volume + slice, at),
                             gather2(volume + slice + row, at)};
   return f;
@@ -138,10 +141,10 @@ typedef Corners FetchedCorners;
 
 #if VOXEL_BITS == 32
 
-INLINE FetchedCorners fetch_corners_at(__global const uchar *volume, __constant const View *view, intN at)
+INLINE FetchedCorners fetch_corners_apart(__global const uchar *volume, __constant const View *view, intN at, size_t row,
+                                          size_t slice)
 {
   Corners c;
-  const size_t row = row_bytes(view), slice = slice_bytes(view);
   c.v000 = AS_FLOAT(gather4(volume, at)), c.v100 = AS_FLOAT(gather4(volume + 4, at));
   c.v010 = AS_FLOAT(gather4(volume + row, at)), c.v110 = AS_FLOAT(gather4(volume + row + 4, at));
   c.v001 = AS_FLOAT(gather4(volume + slice, at)), c.v101 = AS_FLOAT(gather4(volume + slice + 4, at));
@@ -158,13 +161,14 @@ INLINE floatN fetch_double(__global const double *volume, const int *at, double 
   return LOAD_LANES(v);
 }
 
-INLINE FetchedCorners fetch_corners_at(__global const uchar *bytes, __constant const View *view, intN corner)
+INLINE FetchedCorners fetch_corners_apart(__global const uchar *bytes, __constant const View *view, intN corner,
+                                          size_t to_row, size_t to_slice)
 {
   Corners c;
   __global const double *volume = (__global const double *)bytes;
   int at[LANES];
   STORE_LANES(corner, at);
-  const size_t row = (size_t)view->row_stride, slice = (size_t)view->slice_stride;
+  const size_t row = to_row / sizeof(double), slice = to_slice / sizeof(double);
   const double bias = view->voxel_bias_double, gain = view->voxel_gain_double;
   c.v000 = fetch_double(volume, at, bias, gain), c.v100 = fetch_double(volume + 1, at, bias, gain);
   c.v010 = fetch_double(volume + row, at, bias, gain), c.v110 = fetch_double(volume + row + 1, at, bias, gain);
@@ -191,6 +195,11 @@ INLINE Corners decode_corners(FetchedCorners f, __constant const View *view)
 }
 
 #endif
+
+INLINE FetchedCorners fetch_corners_at(__global const uchar *volume, __constant const View *view, intN at)
+{
+  return fetch_corners_apart(volume, view, at, row_bytes(view), slice_bytes(view));
+}
 
 /* Those of a cell whose lower corner is there. */
 INLINE FetchedCorners fetch_corners(__global const uchar *volume, __constant const View *view, intN ix, intN iy,

@@ -134,11 +134,13 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
       } while (queued);
     }
     taken += AS_UINT(steps);
+    COUNT_LEVELS(&ray, first_t, steps);
 #else
     UNROLL_LANES for (int step = 0; step < MARCH_STEPS; ++step) {
       const intN place = i + step, active = MASK(place <= last);
       const floatN t = first_t + (float)step;
       taken -= AS_UINT(active);
+      COUNT_LEVELS(&ray, t, active & 1);
       const floatN before = acc.a;
       int visible;
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
@@ -200,6 +202,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
     const floatN before = acc.a, value = sample_value(sample, view);
     floatN front = value, back = value;
     taken -= AS_UINT(active);
+    COUNT_LEVELS(&ray, t, active & 1);
 #if CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
     front = value1;
     active &= MASK(last + 1 > start + blind_segments(start));
@@ -226,7 +229,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
 #endif
   gathered_store(&acc, rgba);
 #if WITH_DEPTH && MIDPOINTS
-  note_sampled_ends(&half_, volume, table, view, &ray, &taken);
+  note_sampled_ends(&half_, volume, table, view, &ray, &taken, counted);
 #endif
 #if WITH_DEPTH
   STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, view) * view->step) * view->edge_length, depth);

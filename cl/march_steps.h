@@ -149,7 +149,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
   }
   gathered_store(&acc, rgba);
 #if WITH_DEPTH && MIDPOINTS
-  note_sampled_ends(&half_, volume, table, view, &ray, &taken);
+  note_sampled_ends(&half_, volume, table, view, &ray, &taken, counted);
 #endif
 #if WITH_DEPTH
   STORE_LANES((ray.entry_depth + half_place(&half_, 1.0f, table, view) * view->step) * view->edge_length, depth);

@@ -9,6 +9,7 @@
 #include "features.h"
 #include "fetch_voxel.h"
 #include "lanes.h"
+#include "sample_linear.h"
 #include "view.h"
 
 #define KERNEL_FILTER (FILTER >= FILTER_MITCHELL)
@@ -16,21 +17,6 @@
 #if KERNEL_FILTER
 #include "kernel_filter.h"
 #endif
-
-/* The lower corner of the lattice cell that holds a coordinate: 0 .. size - 2, also at the upper face. */
-INLINE intN cell_index(floatN x, int size) { return min(TO_INT(x), (intN)(size - 2)); }
-
-/* a + f (b - a), so that a constant cell gives exactly its constant. VOXEL_HOLES: some voxel is not finite, and what
- * has weight 0 must not count, since 0 times it is not 0. */
-INLINE floatN mix_corners(floatN a, floatN b, floatN f)
-{
-  const floatN mixed = a + f * (b - a);
-#if VOXEL_HOLES
-  return select(select(mixed, a, MASK(f == 0.0f)), b, MASK(f == 1.0f));
-#else
-  return mixed;
-#endif
-}
 
 /* Four voxels in a row, index - 1 ... index + 2, with weights w0 ... w3, in the two blocks of two that fetch_voxel.h
  * fetches. Beyond the volume its outermost voxels count: there (`first`, `last`) a block moves inwards and its two
@@ -74,55 +60,11 @@ INLINE BasedSum based_sum(floatN p0, floatN p1, floatN p2, floatN p3, SplineAxis
 
 #if !WIDE_FILTER
 
-typedef struct {
-  FetchedCorners corners;
-  floatN fx, fy, fz; /* place inside the lattice cell, 0 .. 1 */
-} FetchedSample;
-
-/* A sample's cell, and the place in it. */
-typedef struct {
-  intN corner; /* corner_offset() */
-  floatN fx, fy, fz;
-} SamplePlace;
-
-INLINE SamplePlace linear_place(__global const uchar *volume, __constant const View *view, floatN x, floatN y, floatN z)
-{
-  SamplePlace p;
-  x = lane_clamp(x, (floatN)0.0f, (floatN)view->upper.x);
-  y = lane_clamp(y, (floatN)0.0f, (floatN)view->upper.y);
-  z = lane_clamp(z, (floatN)0.0f, (floatN)view->upper.z);
-  const intN ix = cell_index(x, view->size.x), iy = cell_index(y, view->size.y), iz = cell_index(z, view->size.z);
-  p.fx = x - TO_FLOAT(ix), p.fy = y - TO_FLOAT(iy), p.fz = z - TO_FLOAT(iz);
-  p.corner = corner_offset(volume, view, ix, iy, iz);
-  return p;
-}
-
-INLINE FetchedSample fetched_at(SamplePlace p, FetchedCorners corners)
-{
-  const FetchedSample s = {corners, p.fx, p.fy, p.fz};
-  return s;
-}
-
-INLINE FetchedSample fetch_linear(__global const uchar *volume, __constant const View *view, floatN x, floatN y,
-                                  floatN z)
-{
-  const SamplePlace p = linear_place(volume, view, x, y, z);
-  return fetched_at(p, fetch_corners_at(volume, view, p.corner));
-}
-
-INLINE floatN linear_value(FetchedSample s, __constant const View *view)
-{
-  const Corners c = decode_corners(s.corners, view);
-  const floatN v00 = mix_corners(c.v000, c.v100, s.fx), v10 = mix_corners(c.v010, c.v110, s.fx);
-  const floatN v01 = mix_corners(c.v001, c.v101, s.fx), v11 = mix_corners(c.v011, c.v111, s.fx);
-  return mix_corners(mix_corners(v00, v10, s.fy), mix_corners(v01, v11, s.fy), s.fz);
-}
-
 /* Nearest voxel centre; halves round up. The fetched cell is the one that has it as a corner. */
-INLINE FetchedSample fetch_nearest(__global const uchar *volume, __constant const View *view, floatN x, floatN y,
-                                   floatN z)
+INLINE CellSample fetch_nearest(__global const uchar *volume, __constant const View *view, floatN x, floatN y,
+                                floatN z)
 {
-  FetchedSample s;
+  CellSample s;
   const intN nx = TO_INT(lane_clamp(x + 0.5f, (floatN)0.0f, (floatN)view->upper.x));
   const intN ny = TO_INT(lane_clamp(y + 0.5f, (floatN)0.0f, (floatN)view->upper.y));
   const intN nz = TO_INT(lane_clamp(z + 0.5f, (floatN)0.0f, (floatN)view->upper.z));
@@ -133,7 +75,7 @@ INLINE FetchedSample fetch_nearest(__global const uchar *volume, __constant cons
   return s;
 }
 
-INLINE floatN nearest_value(FetchedSample s, __constant const View *view)
+INLINE floatN nearest_value(CellSample s, __constant const View *view)
 {
   const Corners c = decode_corners(s.corners, view);
   const intN fx = MASK(s.fx > 0.5f), fy = MASK(s.fy > 0.5f), fz = MASK(s.fz > 0.5f);
@@ -237,7 +179,18 @@ INLINE floatN cubic_value(FetchedSample s, __constant const View *view)
 
 #endif
 
-#if FILTER == FILTER_LINEAR
+#if !WIDE_FILTER && !MINIFICATION
+typedef CellSample FetchedSample;
+#endif
+#if MINIFICATION
+#if FILTER != FILTER_LINEAR || CLASSIFICATION == CLASSIFICATION_PRE
+#error "levels are blended linearly, and classified afterwards"
+#endif
+#include "volume_levels.h"
+#define fetch_sample fetch_levels
+#define sample_value levels_value
+#define FETCH_AHEAD 0
+#elif FILTER == FILTER_LINEAR
 #define fetch_sample fetch_linear
 #define sample_value linear_value
 #define FETCH_AHEAD 1

@@ -29,6 +29,9 @@
 #if BLOCKS
 #include "block_parameters.h"
 #endif
+#if MINIFICATION
+#include "volume_levels.h"
+#endif
 
 typedef struct {
   __global const uchar *volume;
@@ -110,9 +113,13 @@ typedef struct {
 #else
 #define VARIANT_PARAMETERS
 #define VARIANT
+#if MINIFICATION
+#define SCENE_COUNTERS LEVEL_COUNTERS
+#else
 #define SCENE_COUNTERS COUNT_LEAPS
 #endif
-#if COUNT_LEAPS && (EFFECTS || BLOCKS || SLICES)
+#endif
+#if COUNT_LEAPS && (EFFECTS || BLOCKS || SLICES || MINIFICATION)
 #error "COUNT_LEAPS counts those of plain scenes"
 #endif
 

@@ -78,6 +78,8 @@ INLINE void values_of_segments(const Scene *scene, const Rays *ray, intN start, 
 #include "gradient.h"
 #if BLOCKS
 #include "gradient_queue.h"
+#elif MINIFICATION
+#include "gradient_levels.h"
 #endif
 
 /* Its gradient, per edge along the local axes. With noise: differences of values over a smallest edge along the
@@ -109,6 +111,8 @@ INLINE Vectors scene_gradient(const Scene *scene, floatN x, floatN y, floatN z)
   g = finite_gradient(g);
 #elif BLOCKS
   const Gradient g = blocks_gradient(&scene->blocks, x, y, z, ~(intN)0, BLOCK_TALLIES(scene->tallies));
+#elif MINIFICATION
+  const Gradient g = levels_gradient(scene->volume, scene->view, x, y, z);
 #else
   const Gradient g = gradient_at(scene->volume, scene->gradients, scene->view, scene->effects->gradient_scale, x, y, z);
 #endif

@@ -29,6 +29,9 @@ typedef struct {
   float4 shows_below;  /* or both >= that */
   float4 opacity_terms, opacity_more; /* opacity of a step through one value (step_opacity() of transfer_pieces.h), */
   float4 filter_terms[MOST_FILTER_TERMS]; /* polynomials of a kernel's weights (kernel_filter.h) */
+  float4 level_scales[MOST_VOLUME_LEVELS]; /* x, y, z: voxels of a level per voxel (volume_levels.h) */
+  int4 level_sizes[MOST_VOLUME_LEVELS];    /* x, y, z: a level's lattice points; w: elements before its first one */
+  float4 footprint;    /* of a pixel at a lattice place: w + (x, y, z) . place, in edges of the levels' voxels */
   int4 size;           /* x, y, z: lattice points */
   int4 cells;          /* x, y, z: cells of the distance map (skip_empty.h) */
   float4 owned_from;   /* x, y, z: with OWNED_BOX (owned_box.h), the box that owns the segments whose front is at or */
@@ -40,6 +43,7 @@ typedef struct {
 #endif
   float2 tangent;       /* of the view angle, per pixel to the right and down */
   float2 centre;        /* of the image, in pixels: column, row */
+  float2 footprints;    /* the least and the largest that levels are chosen for, powers of two */
   int2 image;           /* pixels: width, height */
   int2 tile;            /* of a work-item, pixels: width, height */
   int2 lattice;         /* rays that were cast first: columns, rows (fill_between_rays.cl) */
@@ -84,6 +88,7 @@ typedef struct {
   FIELD(View, ray_forward), FIELD(View, ray_du), FIELD(View, ray_dv), FIELD(View, upper), \
   FIELD(View, shows_above), FIELD(View, shows_below), FIELD(View, opacity_terms), \
   FIELD(View, opacity_more), FIELD(View, filter_terms), FIELD(View, opacity_limit), FIELD(View, size), \
+  FIELD(View, level_scales), FIELD(View, level_sizes), FIELD(View, footprint), FIELD(View, footprints), \
   FIELD(View, owned_from), FIELD(View, owned_to), FIELD(View, stored_from), FIELD(View, stored_to), \
   FIELD(View, cells), FIELD(View, tangent), FIELD(View, centre), FIELD(View, image), FIELD(View, tile), \
   FIELD(View, lattice), FIELD(View, ray_spacing), FIELD(View, ray_tolerance), FIELD(View, first_tile), \

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -11,11 +12,14 @@ import numpy as np
 
 from clvol.device.aimed_lights import load_images
 from clvol.device.environment_file import load_radiance
+from clvol.device.footprint import footprint_of
+from clvol.device.view import PixelLattice, ray_frame
 from clvol.features.analysis import effects, reduced
 from clvol.features.compression import explained
 from clvol.features.scene_warnings import camera_warning, scene_warnings
 from clvol.integrators.channels import shown_channels
 from clvol.integrators.raycast.history import unsupported
+from clvol.integrators.raycast.levels import levels_of_picture
 from clvol.integrators.registry import check_scene, integrator_of
 from clvol.opencl.context import compile_options
 from clvol.opencl.kernels_path import kernel_folder
@@ -23,13 +27,15 @@ from clvol.scene.environment import Environment
 from clvol.scene.image import ImageSettings
 from clvol.scene.resolve import ResolvedScene
 from clvol.volume.volume import Volume
+from clvol.volume.voxel_layout import padded_size
 
 
 def explain(resolved: ResolvedScene) -> dict[str, Any]:
     """The output of ``clvol explain --json``.
 
     "effects" lists every effect with the reason why it is used or not, "compression" says what becomes of the voxels
-    (None: nothing), "coherence" where rays start, "kernel_hash" identifies the compiled kernel, and "warnings" lists
+    (None: nothing), "coherence" where rays start, "minification" which levels of the volume samples are of,
+    "kernel_hash" identifies the compiled kernel, and "warnings" lists
     settings that are valid but hardly intended, "classification" is the one that is used and why, "rays" says how many
     a pixel has. Raises SceneError for a scene that a Renderer would refuse, for example because its environment cannot
     be read.
@@ -53,6 +59,7 @@ def explain(resolved: ResolvedScene) -> dict[str, Any]:
         "rays": {"per_pixel": image.samples, "reason": _rays(image)},
         "compression": explained(resolved),
         "coherence": _coherence(resolved),
+        "minification": _minification(resolved),
         "kernel_hash": kernel_hash(resolved),
         "warnings": [str(warning) for warning in warnings],
     }
@@ -82,6 +89,25 @@ def _coherence(resolved: ResolvedScene) -> dict[str, str]:
     if mode == "auto":
         return {"mode": "cells", "reason": "it changes no picture, and needs none before"}
     return {"mode": mode, "reason": "the scene requests it"}
+
+
+def _minification(resolved: ResolvedScene) -> dict[str, Any]:
+    """The mode of integration.minification that pictures are rendered with, the finest and the coarsest level of this
+    one, and why."""
+    effect = next(effect for effect in effects(resolved) if effect.name == "minification")
+    if not effect.called_for:
+        return {"mode": "off", "levels": [0, 0], "reason": effect.reason}
+    image, integration = resolved.image, resolved.integration
+    lattice = PixelLattice(covers=1.0 / math.sqrt(image.samples))
+    size = image.width, image.height
+    first, last = levels_of_picture(resolved, resolved.camera, size, lattice)
+    frame = ray_frame(resolved.camera, resolved.volume.grid, *size, lattice)
+    least, most = footprint_of(frame, resolved.volume, 0.0).extremes(padded_size(resolved.volume))
+    what = "a pixel" if image.samples == 1 else "a ray's share of a pixel"
+    wide = f"{what} is {max(least, 0.0):.3g} to {max(most, 0.0):.3g} voxels wide"
+    steps = f"steps are {integration.step:g} times the edge of voxels of level {first}"
+    reason = f"{wide}, level_bias is {integration.level_bias:g}; {steps}"
+    return {"mode": "levels", "levels": [first, last], "reason": reason}
 
 
 def _read_environment(environment: Environment | None) -> None:

@@ -43,6 +43,14 @@ def check_has_truth(resolved: ResolvedScene) -> None:
         raise VolumeError(error.where, what, error.expected) from None
 
 
+def _of_voxels(resolved: ResolvedScene) -> ResolvedScene:
+    """The scene without levels: what these average is part of the error."""
+    integration = resolved.integration
+    if integration.minification == "off":
+        return resolved
+    return replace(resolved, integration=integration.model_copy(update={"minification": "off"}))
+
+
 def devices_of(engines: Engines) -> list[Any]:
     """The OpenCL devices that work."""
     return [context.device for context in engines.contexts]
@@ -60,8 +68,8 @@ class GroundTruth:
     """
 
     def __init__(self, resolved: ResolvedScene, engines: Engines, area: float = 0.0) -> None:
-        self.resolved, self._engines, self._area = resolved, engines, area
-        self.is_exact = has_exact_integral(resolved)
+        self.resolved, self._engines, self._area = _of_voxels(resolved), engines, area
+        self.is_exact = has_exact_integral(self.resolved)
         self.error = 0.0
         self._limit: np.ndarray | None = None
         self._counters: dict[str, Any] = {}

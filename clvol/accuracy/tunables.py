@@ -217,6 +217,8 @@ NOT_TUNABLE: dict[str, str] = {
     "integration.prefilter": "another picture: the field then passes through the voxels",
     "integration.filter_table": "another picture: the kernel of the filter 'table'",
     "integration.filter_reach": "another picture: how far that kernel reaches",
+    "integration.minification": "another picture: what a pixel covers is averaged before it is classified",
+    "integration.level_bias": "another picture: how much of it is averaged",
     "integration.compositing": "another picture: how the values along a ray become a pixel",
     "integration.blend": "another picture: how those of channels are put together",
     "integration.attenuation": "another picture: how much samples behind others contribute",

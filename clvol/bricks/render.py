@@ -142,6 +142,7 @@ def check_bricks(resolved: ResolvedScene, count: int) -> None:
         (integration.quadrature != "steps", "integration.quadrature", repr(integration.quadrature), "'steps'"),
         (integration.compositing not in _COMPOSITINGS, "integration.compositing", repr(integration.compositing),
          "'over', 'maximum' or 'minimum', which a brick's pixels tell all of"),
+        (integration.minification != "off", "integration.minification", repr(integration.minification), "'off'"),
         (integration.prefilter, "integration.prefilter", "true, which depends on all voxels", "false"),
         (integration.voxel_precision != "stored", "integration.voxel_precision", repr(integration.voxel_precision),
          "'stored'"),

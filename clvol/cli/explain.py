@@ -45,6 +45,10 @@ def command(
     coherence = explanation.get("coherence")
     if coherence is not None:
         say(f"coherence {coherence['mode']}: {coherence['reason']}")
+    minification = explanation.get("minification")
+    if minification is not None and minification["mode"] != "off":
+        first, last = minification["levels"]
+        say(f"minification by levels {first} to {last}: {minification['reason']}")
     say(f"kernel {explanation['kernel_hash']}")
     for warning in explanation["warnings"]:
         say(f"warning: {warning}")

@@ -26,7 +26,8 @@ class RayFrame:
     ``origin`` + u ``du`` + v ``dv`` in direction (``forward`` + u ``ray_du`` + v ``ray_dv``) / |.|, the norm
     taken in world space: sqrt(1 + (u ``lens[0]``)^2 + (v ``lens[1]``)^2). The eye lies ``distance``
     times that norm before the origin's plane. Lengths along rays are in units of the smallest voxel
-    edge, ``unit`` world lengths: the world's scale never meets float32.
+    edge, ``unit`` world lengths: the world's scale never meets float32. ``pixel``: side of the square that a ray stands
+    for, in distances between rays.
     """
 
     origin: np.ndarray
@@ -39,6 +40,7 @@ class RayFrame:
     centre: tuple[float, float]
     distance: float
     unit: float
+    pixel: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -47,12 +49,14 @@ class PixelLattice:
 
     The sparse picture of a lattice has exactly the rays of those pixels. ``alone``: the pixels between are of no
     interest, so that methods whose pixels depend on their neighbours make a picture of these pixels alone.
+    ``covers``: side, in pixels of the full picture, of the square that a ray stands for.
     """
 
     spacing: int = 1
     column: int = 0
     row: int = 0
     alone: bool = False
+    covers: float = 1.0
 
     def size(self, width: int, height: int) -> tuple[int, int]:
         """Pixels (width, height) of the sparse picture of one of ``width`` by ``height``."""
@@ -87,7 +91,7 @@ EVERY_PIXEL = PixelLattice()
 @dataclass(frozen=True, eq=False)
 class PixelList:
     """Some pixels of a picture: their ``rows`` and ``columns``, int32 [n] each. ``spacing``: they are taken from as
-    many by as many lattices of this spacing, each a picture by itself.
+    many by as many lattices of this spacing, each a picture by itself. ``covers``: as in ``PixelLattice``.
 
     Their picture consists of tiles of ``TILE`` by ``TILE`` that lie below each other; pixel k of the list is pixel k
     of its rows, one after the other. What follows the last one is undefined.
@@ -96,6 +100,7 @@ class PixelList:
     rows: np.ndarray
     columns: np.ndarray
     spacing: int = 1
+    covers: float = 1.0
 
     def size(self, width: int, height: int) -> tuple[int, int]:
         """Pixels (width, height) of the list's picture."""
@@ -163,6 +168,7 @@ def ray_frame(
         ),
         distance=distance / unit,
         unit=unit,
+        pixel=lattice.covers / every,
     )
 
 

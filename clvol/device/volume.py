@@ -140,19 +140,23 @@ class DeviceVolume(ResidentVolume):
             for axis, n in enumerate(data.shape):
                 data = np.repeat(data, 2, axis=axis) if n == 1 else data
         data = np.ascontiguousarray(data)
+        self._data = data
+        self._kept: dict[Hashable, Any] = {}
+        self.voxels = self._stored(context, data, kept)
+
+    def _stored(self, context: DeviceContext, data: np.ndarray, kept: DeviceArray | None) -> DeviceArray:
+        """The buffer of the voxels ``data`` [z, y, x]."""
         if kept is not None and not context.is_cpu and not self._has_pairs and data.dtype.itemsize > 1:
             context.write(kept, data.reshape(-1))
             plain = kept
         else:
             plain = context.share(data)
+        self._kept["bounds", 0] = self._min_max(plain, 0)
         if self._has_pairs:
-            self.voxels = self._paired(context, data, plain, kept)
-        else:
-            self.voxels = plain
-            if volume.dtype.itemsize == 1:  # 32-bit loads of the last bytes must stay inside the buffer
-                self.voxels = context.share(np.append(data.ravel(), np.zeros(4, data.dtype)))
-        self._data = data
-        self._kept: dict[Hashable, Any] = {("bounds", 0): self._min_max(plain, 0)}
+            return self._paired(context, data, plain, kept)
+        if data.dtype.itemsize == 1:  # 32-bit loads of the last bytes must stay inside the buffer
+            return context.share(np.append(data.ravel(), np.zeros(4, data.dtype)))
+        return plain
 
     def _paired(
         self, context: DeviceContext, data: np.ndarray, plain: DeviceArray, kept: DeviceArray | None

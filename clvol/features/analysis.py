@@ -21,6 +21,7 @@ from clvol.features import (
     gradients,
     half_angle,
     lighting,
+    minification,
     noise,
     opacity,
     refraction,
@@ -47,6 +48,7 @@ NAMES = (
     "windowed-sinc filter",
     "table filter",
     "prefilter",
+    "minification",
     "lighting",
     "specular",
     "light at both ends",
@@ -82,8 +84,8 @@ NAMES = (
 )
 # Each pass analyses the scene as reduced by the passes before it.
 _PASSES = (
-    filters, glow, emission, segments, fields, noise, clipping, surfaces, refraction, opacity, lighting, shadows,
-    half_angle, ambient_occlusion, depth_cue, gradients,
+    filters, glow, emission, segments, minification, fields, noise, clipping, surfaces, refraction, opacity, lighting,
+    shadows, half_angle, ambient_occlusion, depth_cue, gradients,
 )  # fmt: skip
 
 

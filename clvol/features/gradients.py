@@ -5,6 +5,7 @@ from __future__ import annotations
 from clvol.features.effect import joined, no, yes
 from clvol.features.findings import Findings
 from clvol.features.gradient_storage import UNLIMITED, chosen_storage
+from clvol.features.minification import has_levels
 from clvol.features.opacity import has_gradient_layers
 from clvol.features.vocabulary import ANALYTIC
 from clvol.scene.gradient import GradientSettings
@@ -47,7 +48,7 @@ def analyse(found: Findings) -> None:
         else:
             _note_operator(found, settings)
             _note_storage(found, settings)
-            if scene.integration.reads_blocks:
+            if scene.integration.reads_blocks or _of_levels(scene):
                 kept = settings.model_copy(update={"storage": "on-the-fly"})
     found.change(gradient=kept)
 
@@ -58,11 +59,19 @@ def _note_operator(found: Findings, settings: GradientSettings) -> None:
     found.note((yes if is_sobel else no)("sobel gradients", reason))
 
 
+def _of_levels(scene: ResolvedScene) -> bool:
+    """Whether gradients are those of levels. (Precomputed ones are refused there if they are asked for.)"""
+    return has_levels(scene.integration) and scene.gradient.storage == "auto"
+
+
 def _note_storage(found: Findings, settings: GradientSettings) -> None:
     volume = found.scene.volume
     if found.scene.integration.reads_blocks:
         reason = "those of blocks are differences of the values blended between them"
         found.note(no("precomputed gradients", reason))
+        return
+    if _of_levels(found.scene):
+        found.note(no("precomputed gradients", "those of levels are differences of their values"))
         return
     chosen = chosen_storage(volume, settings.operator, settings.storage, UNLIMITED)
     is_stored = chosen == "precomputed"

@@ -12,6 +12,25 @@ from clvol.features.vocabulary import FILTERS
 from clvol.scene.resolve import ResolvedScene
 
 PLAIN = frozenset({"emission-absorption"})
+_OF_LEVELS = PLAIN | {
+    "minification", "integral tables", "colour cycling", "channels", "lighting", "specular", "light at both ends",
+    "spot lights", "image lights", "environment", "environment background", "gradients", "clipping", "depth cueing",
+}  # fmt: skip
+# Why levels do not go with others.
+_NOT_OF_LEVELS = {
+    "isosurfaces": "surfaces are found in cells of voxels",
+    "shadows": "light is found in the voxels",
+    "ambient occlusion": "what occludes is found in the voxels",
+    "noise": "its terms have sizes of their own",
+    "associated colours": "what glows is found in the voxels",
+    "label field": "means of labels mean nothing", "mask field": "means of labels mean nothing",
+    "density field": "fields have no levels", "color field": "fields have no levels",
+    "joint transfer function": "fields have no levels",
+    "precomputed gradients": "gradients are those of levels",
+    "sobel gradients": "gradients of levels are central differences",
+    "continuous refraction": "rays bend by the voxels",
+}
+_BY_SLOPE = "magnitudes of gradients depend on the level"
 
 
 def check_effects(resolved: ResolvedScene) -> None:
@@ -68,6 +87,31 @@ def refuse_quadrature(resolved: ResolvedScene) -> None:
         expected = "'steps', or the classification 'post' or 'preintegrated'"
         raise SceneError(where, "got 'cells' with the classification 'pre'", expected)
     refuse_effects(resolved, "integration.quadrature", "cells", "steps", PLAIN)
+
+
+def refuse_minification(resolved: ResolvedScene) -> None:
+    """SceneError for levels with anything that needs the voxels themselves."""
+    integration = resolved.integration
+    if integration.minification != "levels":
+        return
+    where = f"{resolved.origin}: integration.minification"
+    wrong = (
+        (integration.filter != "linear", f"the filter {integration.filter!r}: levels are made for the linear one",
+         "the filter 'linear'"),
+        (integration.classification == "pre", "the classification 'pre': levels are means of values, not of colours",
+         "another classification"),
+        (integration.quadrature != "steps", f"the quadrature {integration.quadrature!r}: cells are those of voxels",
+         "the quadrature 'steps'"),
+        (integration.compositing != "over", f"the compositing {integration.compositing!r}: means have other extremes "
+         "than voxels", "the compositing 'over'"),
+    )  # fmt: skip
+    for is_wrong, what, instead in wrong:
+        if is_wrong:
+            raise SceneError(where, f"got 'levels' with {what}", f"'off', or {instead}")
+    for effect in effects(resolved):
+        if effect.called_for and effect.name not in _OF_LEVELS:
+            reason = _NOT_OF_LEVELS.get(effect.name, _BY_SLOPE)
+            raise SceneError(where, f"got 'levels' with {effect.name}: {reason}", "'off', or a scene without")
 
 
 def refuse_sparse_rays(resolved: ResolvedScene, how: str) -> None:

@@ -55,6 +55,7 @@ EFFECT_COUNTERS = (  # cl/effects.h
     "bends",
 )  # fmt: skip
 BLOCK_COUNTERS = ("block_reads", "blended_samples")  # cl/block_parameters.h
+LEVEL_COUNTERS = ("level_blends", "finest_samples")  # cl/volume_levels.h
 PYRAMID_COUNTERS = ("oracle_samples", "syntheses", "accumulations")  # cl/pyramid.h
 
 # Of a filter of the scene's own, the sums of the magnitudes of its weights along an axis, and of their derivatives.

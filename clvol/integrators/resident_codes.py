@@ -13,7 +13,7 @@ from clvol.scene.resolve import ResolvedScene
 from clvol.volume.voxel_layout import holds_pairs
 
 # Effects that read voxels in other ways than rays do, or others than the volume's own.
-_OF_ALL_VOXELS = {"precomputed gradients", "prefilter"}
+_OF_ALL_VOXELS = {"precomputed gradients", "prefilter", "minification"}
 _KEPT = 3  # volumes as bricks
 
 

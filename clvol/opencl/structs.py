@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from clvol.store.codecs.coded_blocks import MOST_STAGES
+from clvol.volume.level_layout import MOST_VOLUME_LEVELS
 
 # Lengths of arrays in structs, as in cl/features.h: how many of each a scene may have.
 MOST_FIELDS, MOST_NOISE_TERMS, MOST_HALVES, MOST_FILTER_TERMS = 8, 4, 16, 9
@@ -74,11 +75,14 @@ def view_dtype(voxel_bits: int) -> np.dtype:
         ("float4", "plane_origin plane_du plane_dv ray_forward ray_du ray_dv upper"),
         ("float4", "shows_above shows_below opacity_terms opacity_more"),
         ("float4", "filter_terms", MOST_FILTER_TERMS),
+        ("float4", "level_scales", MOST_VOLUME_LEVELS),
+        ("int4", "level_sizes", MOST_VOLUME_LEVELS),
+        ("float4", "footprint"),
         ("int4", "size cells"),
         ("float4", "owned_from owned_to"),
         ("int4", "stored_from stored_to"),
         *doubles,
-        ("float2", "tangent centre"),
+        ("float2", "tangent centre footprints"),
         ("int2", "image tile lattice"),
         ("int", "ray_spacing"),
         ("float", "ray_tolerance"),

@@ -29,6 +29,10 @@ class Integration(Table):
     component; opacities are screened, or their maximum. "mix" is one medium: extinctions and emissions of all channels
     add up at every place, so that channels hide each other by depth.
 
+    ``minification`` "levels": the volume at half its resolution, a quarter, and so on; a sample is a blend of the two
+    between whose voxels' edges the side of a pixel lies where it is (Williams 1983), ``level_bias`` levels coarser.
+    ``step`` is then in voxels of the finest of them.
+
     ``classification``: "auto" is "post" where that errs less than "preintegrated", which it is elsewhere.
 
     ``quadrature``: even "steps" along a ray, or "cells": one piece per cell of the linear filter that the ray crosses,
@@ -94,6 +98,16 @@ class Integration(Table):
         False,
         title="Makes the cubic B-spline interpolate the voxels instead of smoothing them.",
         description="true or false",
+    )
+    minification: Literal["off", "levels"] = Field(
+        "off",
+        title="Samples of means of voxels where a pixel covers several ('levels'), or always of the voxels themselves.",
+        description="'off' or 'levels'",
+    )
+    level_bias: Number = Field(
+        -1.0, ge=-4, le=4,
+        title="Added to the level that a pixel's size asks for; below 0: finer ones. Without levels it has no effect.",
+        description="a number from -4 to 4",
     )
     compositing: Literal["over", "maximum", "minimum", "average", "attenuated-maximum"] = Field(
         "over",

@@ -57,11 +57,13 @@ from clvol.integrators.registry import check_scene
 from clvol.opencl.kernels_path import kernel_folder
 from clvol.opencl.structs import MOST_FIELDS, MOST_FILTER_TERMS, MOST_HALVES, MOST_NOISE_TERMS
 from clvol.scene.pyramid import MOST_LEVELS
+from clvol.volume.level_layout import MOST_VOLUME_LEVELS
 
 COUNTED = {
     "effects.h": vocabulary.EFFECT_COUNTERS,
     "block_parameters.h": vocabulary.BLOCK_COUNTERS,
     "pyramid.h": vocabulary.PYRAMID_COUNTERS,
+    "volume_levels.h": vocabulary.LEVEL_COUNTERS,
 }
 # Prefix of the names in cl/features.h: the table in Python.
 VOCABULARY = {
@@ -74,7 +76,7 @@ VOCABULARY = {
     "LIGHT": vocabulary.LIGHTS, "CLIP": vocabulary.CLIPS,
     "CODEC": vocabulary.BLOCK_CODECS, "CELL": vocabulary.CELLS, "CODE": {"dropped": vocabulary.CODE_DROPPED},
     "MOST": {"fields": MOST_FIELDS, "noise-terms": MOST_NOISE_TERMS, "halves": MOST_HALVES, "levels": MOST_LEVELS,
-             "filter-terms": MOST_FILTER_TERMS},
+             "filter-terms": MOST_FILTER_TERMS, "volume-levels": MOST_VOLUME_LEVELS},
 }  # fmt: skip
 
 
@@ -110,6 +112,7 @@ def test_counters_are_in_one_order(header):
 def test_counters_of_effects_are_as_many_as_the_header_says():
     assert defined("effects.h")["EFFECT_COUNTERS"] == len(vocabulary.EFFECT_COUNTERS) == len(COUNTERS)
     assert defined("block_parameters.h")["BLOCK_COUNTERS"] == len(vocabulary.BLOCK_COUNTERS)
+    assert defined("volume_levels.h")["LEVEL_COUNTERS"] == len(vocabulary.LEVEL_COUNTERS)
 
 
 @pytest.mark.parametrize("header, name, here", [

@@ -69,6 +69,7 @@ CALLED = [
     ({"integration": {"filter": "lanczos3"}}, ["lanczos3 filter"]),
     ({"integration": {"filter": "table", "filter_table": [1.0, 0.5, 0.1, 0.0]}}, ["table filter"]),
     ({"integration": {"filter": "cubic", "prefilter": True}}, ["cubic filter", "prefilter"]),
+    ({"integration": {"minification": "levels"}}, ["minification"]),
 ]  # fmt: skip
 
 DARK = SUN | {"intensity": 0.0}
@@ -152,4 +153,5 @@ IDLE = [
      "continuous refraction", "the same for all values of the volume"),
     ({"refraction": {"points": [{"value": 0.0, "index": 1.0}, {"value": 90.0, "index": 1.2}]},
       "function": CLEAR}, "continuous refraction", "nothing of the volume is visible"),
+    ({"integration": {"minification": "levels"}, "function": CLEAR}, "minification", "shows nothing of the volume"),
 ]  # fmt: skip

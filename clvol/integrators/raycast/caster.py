@@ -25,6 +25,7 @@ from clvol.device.view import EVERY_PIXEL, PixelLattice, PixelList, Pixels, RayF
 from clvol.device.volume import DeviceVolume, ResidentVolume
 from clvol.features import reduced_for_frames
 from clvol.features.gradient_storage import DeviceLimits
+from clvol.features.vocabulary import LEVEL_COUNTERS
 from clvol.integrators.base import FrameData, Progress, Shared
 from clvol.integrators.raycast.bending_cells import bending_cells
 from clvol.integrators.raycast.cell_depths import cell_depths
@@ -457,7 +458,8 @@ class Raycaster:
     @property
     def _counter_names(self) -> tuple[str, ...]:
         """Names of what the kernels count: first the march's, then the samples'."""
-        return (*self.march.counters, *(COUNTERS if self.effects.switches else ()))
+        of_levels = LEVEL_COUNTERS if self.switches.get("MINIFICATION") else ()
+        return (*self.march.counters, *(COUNTERS if self.effects.switches else of_levels))
 
     def counted(self, counts: np.ndarray) -> dict[str, int]:
         """Sums by name of what tiles counted: ``counts`` uint32 [tiles, names]."""

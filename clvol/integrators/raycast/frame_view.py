@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from clvol.device.footprint import footprint_of
+from clvol.device.levels import SeenLevels
 from clvol.device.view import RayFrame
 from clvol.errors import RenderError
 from clvol.features.kernels import filter_terms
@@ -38,7 +40,17 @@ def frame_view(caster: Raycaster, frame: RayFrame, width: int, height: int) -> n
     view = known.view.copy()
     view.view(np.float32)[_places(caster.view_dtype)] = numbers
     view["image"], view["tile"] = (width, height), caster.tile
+    if isinstance(caster.volume, SeenLevels):
+        _set_footprint(view[0], caster, caster.volume, frame)
     return view
+
+
+def _set_footprint(row: np.void, caster: Raycaster, volume: SeenLevels, frame: RayFrame) -> None:
+    """What a pixel covers, and the levels from which it is taken."""
+    resolved = caster.resolved
+    found = footprint_of(frame, resolved.volume, resolved.integration.level_bias)
+    row["footprint"] = (*found.slope, found.constant)
+    row["footprints"] = 2.0**volume.first, 2.0**volume.last
 
 
 @lru_cache
@@ -122,6 +134,10 @@ def _describe_volume(caster: Raycaster, row: np.void) -> None:
         row[name][:3] = numbers
     row["cells"][:3], row["cell_shift"] = caster.map_cells, caster.map_shift
     row["octant_cells"] = caster.octant_cells
+    if isinstance(volume, SeenLevels):
+        for k, level in enumerate(volume.levels):
+            row["level_scales"][k][:3] = [0.5**halvings for halvings in level.halvings]
+            row["level_sizes"][k] = (*level.size, level.first)
     row["piece_columns"], row["function_floats"], row["piece_count"] = caster.pieces
 
 

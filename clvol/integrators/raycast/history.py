@@ -39,6 +39,7 @@ NOTHING_REUSED: dict[str, Any] = {
 }  # fmt: skip
 _UNSUPPORTED = (
     ("STEP_CELLS", "steps follow the data"),
+    ("MINIFICATION", "levels"),
     ("QUADRATURE", "quadrature by cells"),
     ("COMPOSITING", "a projection"),
     ("SLICES", "slices"),

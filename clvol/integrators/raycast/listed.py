@@ -33,7 +33,7 @@ def listed_by_tiles(
     different = np.unique(phases)
     for done, phase in enumerate(different.tolist()):
         own = np.flatnonzero(phases == phase)
-        lattice = PixelLattice(spacing, phase % spacing, phase // spacing, alone=True)
+        lattice = PixelLattice(spacing, phase % spacing, phase // spacing, alone=True, covers=pixels.covers)
         size = lattice.size(width, height)
         rows, columns = pixels.rows[own] // spacing, pixels.columns[own] // spacing
         tile = caster.tile

@@ -65,7 +65,7 @@ class _Picture:
 
     def _stage(self, kernel: str, camera: Camera, picture: tuple[int, int], lattice: Pixels) -> _Stage:
         caster, size = self._caster, lattice.size(*picture)
-        of_rays = EVERY_PIXEL if isinstance(lattice, PixelList) else lattice
+        of_rays = PixelLattice(covers=lattice.covers) if isinstance(lattice, PixelList) else lattice
         frame = ray_frame(camera, caster.resolved.volume.grid, *picture, of_rays)
         view = caster.frame_view(frame, *of_rays.size(*picture))
         return _Stage(kernel, frame, view, size, tiling(*size, *caster.tile).count)

@@ -7,6 +7,7 @@ from clvol.device.memory import value_map, voxel_switches
 from clvol.device.opacity_factors import layer_functions
 from clvol.device.transfer_lookup import segment_classification, transfer_pieces
 from clvol.features import CLASSIFICATIONS, FILTERS, QUADRATURES
+from clvol.features.minification import has_levels
 from clvol.features.segments import has_integral_table
 from clvol.integrators.raycast.constant_cells import uses_constant_cells
 from clvol.integrators.raycast.step_map import CELL_SHIFT, follows_data
@@ -29,6 +30,7 @@ def raycast_switches(
     integration, volume = resolved.integration, resolved.volume
     functions = layer_functions(resolved, function)
     effects = effect_switches(resolved)
+    repeats = varies and lanes > 1 and not has_levels(integration)  # where voxels do, so do samples
     return {
         **voxel_switches(volume, value_map(volume), pairs=holds_pairs(volume)),
         "LANES": lanes,
@@ -39,7 +41,8 @@ def raycast_switches(
         "SKIP_EMPTY": int(skip),
         "WITH_DEPTH": int(depth),
         **effects,
-        **({"CONSTANT_CELLS": 1} if varies and lanes > 1 and uses_constant_cells(resolved, effects, function) else {}),
+        **({"CONSTANT_CELLS": 1} if repeats and uses_constant_cells(resolved, effects, function) else {}),
+        **({"MINIFICATION": 1} if has_levels(integration) else {}),
         **({"INTEGRAL_TABLE": integration.table_size} if has_integral_table(integration) else {}),
         **({"STEP_CELLS": CELL_SHIFT} if varies and follows_data(resolved, function) else {}),
     }

@@ -12,6 +12,7 @@ middle, so that the mean is the pixel's wherever the picture is linear.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -32,6 +33,11 @@ class Pattern:
 
     cells: int
     places: tuple[tuple[int, int], ...]
+
+    @property
+    def covers(self) -> float:
+        """Side of the square, in cells, that a ray stands for: all of them make up the pixel."""
+        return self.cells / math.sqrt(len(self.places))
 
     def offsets(self) -> np.ndarray:
         """float64 [rays, 2]: each ray's distance from the pixel's middle, to the right and down, in pixels."""

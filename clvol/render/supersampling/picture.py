@@ -131,7 +131,7 @@ class _Picture:
         row, column = np.divmod(pixels.astype(np.int32), np.int32(self._width))
         rows = (row[:, None] * np.int32(cells) + places[:, 1]).ravel()
         columns = (column[:, None] * np.int32(cells) + places[:, 0]).ravel()
-        data = self._render(PixelList(rows, columns, cells), report, cells)
+        data = self._render(PixelList(rows, columns, cells, of.covers), report, cells)
         rgba = data.rgba.reshape(-1, 4)[: len(rows)].reshape(len(pixels), len(places), 4)
         if data.depth is None:
             return rgba, None
@@ -153,7 +153,7 @@ class _Picture:
         depths = np.full((height, width), np.inf, np.float32) if self._depth else None
         share = 1.0 / len(made.places)
         for k, ((column, row), offset) in enumerate(zip(made.places, made.offsets())):
-            lattice = PixelLattice(made.cells, column, row, alone=True)
+            lattice = PixelLattice(made.cells, column, row, alone=True, covers=made.covers)
             data = self._render(lattice, self._part(k * share, share), made.cells)
             filtered.add(data.rgba, offset)
             if depths is not None and data.depth is not None:
