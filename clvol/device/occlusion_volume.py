@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from clvol.device.arguments import EFFECT_ARGUMENTS, scene_arguments
+from clvol.device.arguments import Arguments, scene_arguments
 from clvol.device.light_volume import TRANSPARENT, light_size
 from clvol.errors import SceneError
 from clvol.features.gradient_storage import DeviceLimits
@@ -112,11 +112,13 @@ def fill_occlusion_volume(
     switches: Mapping[str, int],
     view: np.ndarray,
     numbers: np.ndarray,
+    variant: Arguments,
     arrays: Mapping[str, DeviceArray],
 ) -> tuple[DeviceArray, int]:
     """The grid of the ambient occlusion, float32 [z, y, x, 4], and how many samples of the volume it took.
 
-    ``switches``: the picture's. ``numbers``: its ``Effects``. ``arrays``: those of the scene and its effects, by name.
+    ``switches``: the picture's. ``numbers``: its ``Effects``. ``variant``: the declared arguments that follow the
+    scene's. ``arrays``: those of the scene and of the variant, by name.
     """
     table, grid = _table(resolved), resolved.volume.grid
     size = light_size(grid, table.resolution)
@@ -130,7 +132,7 @@ def fill_occlusion_volume(
     seen = context.empty(np.float32, (points, _FLOATS))
     clear = context.empty(np.float32, (points,))
     counts = context.upload(np.zeros(items, np.uint32), writable=True)
-    declared = scene_arguments(switches["VOXEL_BITS"]) + EFFECT_ARGUMENTS + _ARGUMENTS
+    declared = scene_arguments(switches["VOXEL_BITS"]) + variant + _ARGUMENTS
     kernel = context.kernel("occlusion_volume.cl", "occlusion_volume", declared, switches)
     given = {**arrays, "view": context.upload(view), "effects": context.upload(own), "ways": context.upload(ways)}
     edge = grid.smallest_edge

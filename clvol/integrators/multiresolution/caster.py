@@ -15,6 +15,7 @@ from clvol.device.arguments import (
 )
 from clvol.device.effect_state import COUNTERS
 from clvol.device.empty_space import dilated, distance_map, surface_mask, visible_mask
+from clvol.device.opacity_factors import shown_function
 from clvol.device.projection import hidden_score
 from clvol.device.transfer_lookup import device_function, scene_nodes, segment_classification
 from clvol.device.view import ray_frame
@@ -95,7 +96,7 @@ class BlockCaster(Raycaster):
         """Another transfer function for the resident blocks: rebuilds tables and empty space."""
         resolved = self.resolved
         self.nodes = scene_nodes(resolved, function)
-        mapped = device_function(function, self.volume.values)
+        mapped = device_function(shown_function(resolved, function), self.volume.values)
         self.function = function
         self.stepping = self._fitting_stepping()
         self._set_colors()
@@ -156,6 +157,8 @@ class BlockCaster(Raycaster):
         self.light_volume_samples = 0
         if self._casts_shadows:
             self._build_shadows()
+        self.occlusion_samples = 0
+        self._build_occlusion()
         self.without_surfaces = without_surfaces(self)
         self.march.scene_changed(self)
 
@@ -313,7 +316,8 @@ class BlockCaster(Raycaster):
         sums = counts.sum(axis=0, dtype=np.uint64)
         named = {name: int(total) for name, total in zip(self._counter_names, sums)}
         shown = self.effects.counted({name: named[name] for name in COUNTERS if name in named})
-        return {name: total for name, total in named.items() if name not in COUNTERS or name in shown}
+        named = {name: total for name, total in named.items() if name not in COUNTERS or name in shown}
+        return {**named, "occlusion_samples": self.occlusion_samples} if self.occlusion_samples else named
 
     # As ``RayEngine``, for ``TiledRenderer``
 

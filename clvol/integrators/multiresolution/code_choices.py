@@ -6,6 +6,7 @@ residuals (clvol/store/codecs/coded_blocks.py). Coarser levels are held whole: t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,14 +38,16 @@ class Choices:
     size: np.ndarray
     deviation: np.ndarray
 
-    def errors(self, levels: np.ndarray, statistics: BlockStatistics, shown: ShownColors) -> np.ndarray:
-        """float32 [choices, k]: the visible error of every choice for the blocks of ``statistics``; ``levels`` float32
-        [levels, k]: of every level (``estimated_errors``)."""
+    def errors(
+        self, levels: np.ndarray, statistics: BlockStatistics, shown: Sequence[ShownColors]
+    ) -> np.ndarray:
+        """float32 [choices, k]: the visible error of every choice for the blocks of ``statistics``, in the look of
+        ``shown`` that shows most; ``levels`` float32 [levels, k]: of every level (``estimated_errors``)."""
         first = statistics.first
         part = slice(first, first + levels.shape[1])
         out = levels[self.level].copy()
         for k in np.flatnonzero((self.level == 0) & (self.depth < WHOLE)):
-            out[k] = noise_errors(statistics, self.deviation[k, part], shown)
+            out[k] = np.max([noise_errors(statistics, self.deviation[k, part], each) for each in shown], axis=0)
         return out
 
 

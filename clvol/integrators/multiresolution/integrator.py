@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
+from clvol.device.light_volume import METHODS
 from clvol.device.voxels import as_rendered
 from clvol.errors import SceneError
 from clvol.features import called_for, reduced_for_frames
@@ -43,8 +44,15 @@ _KEYS = {
 _EFFECTS = PLAIN | {
     "clipping", "lighting", "specular", "spot lights", "image lights", "environment", "environment background",
     "gradients", "depth cueing", "isosurfaces", "projection", "shadows", "scattering",
-    "label field", "density field", "mask field", "color field", "noise",
+    "label field", "density field", "mask field", "color field", "noise", "associated colours", "ambient occlusion",
+    "gradient opacity", "directional opacity", "fur", "two-dimensional transfer function", "joint transfer function",
+    "light at both ends", "attenuation noise", "refraction",
 }  # fmt: skip
+_FAR_RAYS = {
+    "shadows": "pass blocks of all tiles at once",
+    "ambient occlusion": "pass blocks of all tiles at once",
+    "refraction": "bend to blocks of other tiles",
+}
 _BUDGETS = 2  # volumes and budgets whose blocks stay resident: they hold all the memory
 
 
@@ -67,12 +75,12 @@ class Multiresolution:
         if _slices(resolved):
             self._check_slices(resolved)
         if resolved.compression.decode == "resident":
+            self._check_far_rays(resolved)
             self._check_codes(resolved)
         if _slices(resolved):
             refuse_effects(resolved, "multiresolution.stepping", "pyramid", "limited", PLAIN)
         refuse_effects(resolved, "integration.method", self.name, "raycast", _EFFECTS)
         self._check_gradients(resolved)
-        self._check_shadows(resolved)
         self._check_fields(resolved)
         refuse_quadrature(resolved)
 
@@ -83,17 +91,14 @@ class Multiresolution:
             what = f"got {settings.memory}, of which the voxels of fields take {format_size(taken)}"
             raise SceneError(where, what, f"at least {format_size(2 * taken)}, or smaller fields")
 
-    def _check_shadows(self, resolved: ResolvedScene) -> None:
-        if "shadows" not in called_for(resolved) or resolved.shadow is None:
-            return
-        if resolved.shadow.method == "rays":
-            where = f"{resolved.origin}: shadow.method"
-            what = "got 'rays' with the method 'multiresolution', which casts none from samples of blocks"
-            raise SceneError(where, what, "'volume', or the method 'raycast'")
-        if resolved.compression.decode == "resident":
-            where = f"{resolved.origin}: compression.decode"
-            what = "got 'resident' in a scene with shadows, whose rays pass blocks of all tiles at once"
-            raise SceneError(where, what, "'auto', or a scene without shadows")
+    def _check_far_rays(self, resolved: ResolvedScene) -> None:
+        """SceneError where rays pass blocks of all tiles at once, of codes that are decoded tile by tile."""
+        needed = called_for(resolved)
+        for name, rays in _FAR_RAYS.items():
+            if name in needed:
+                where = f"{resolved.origin}: compression.decode"
+                what = f"got 'resident' in a scene with {name}, whose rays {rays}"
+                raise SceneError(where, what, f"'auto', or a scene without {name}")
 
     def _check_gradients(self, resolved: ResolvedScene) -> None:
         got = resolved.gradient.storage
@@ -156,8 +161,10 @@ class Multiresolution:
             programs["tile_rays.cl"] = switches
         if resolved.image.refines:
             programs["listed_rays.cl"] = switches
-        if switches.get("SHADOWS"):
+        if switches.get("SHADOWS") == METHODS["volume"]:
             programs["light_volume.cl"] = switches
+        if switches.get("AMBIENT_OCCLUSION"):
+            programs["occlusion_volume.cl"] = switches
         return programs
 
     def sources(self, resolved: ResolvedScene) -> tuple[Sequence[str], bytes]:

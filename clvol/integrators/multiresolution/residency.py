@@ -61,7 +61,7 @@ class Residency:
             raise SceneError(f"{resolved.origin}: {error.where}", error.what, error.expected) from None
         self.memory_bytes = memory
         self.selection: Selection | None = None
-        self._errors: tuple[TransferFunction, np.ndarray, str, SourceErrors] | None = None
+        self._errors: tuple[TransferFunction, np.ndarray, tuple[Any, ...], SourceErrors] | None = None
         self._with_effects: tuple[SourceErrors, EffectsOnBlocks, SourceErrors] | None = None
         self._means: np.ndarray | None = None
         self._request: tuple = ()
@@ -134,12 +134,12 @@ class Residency:
         self, function: TransferFunction, background: np.ndarray, effects: EffectsOnBlocks
     ) -> SourceErrors:
         if self._errors is not None:
-            old_function, old_background, compositing, errors = self._errors
-            same = np.array_equal(old_background, background) and compositing == effects.compositing
+            old_function, old_background, of_values, errors = self._errors
+            same = np.array_equal(old_background, background) and of_values == effects.of_values
             if old_function == function and same:
                 return errors
         errors = function_errors(self.source, function, background, effects)
-        self._errors = function, np.array(background), effects.compositing, errors
+        self._errors = function, np.array(background), effects.of_values, errors
         return errors
 
     def close(self) -> None:

@@ -15,6 +15,7 @@ from clvol.device.noise import displacement_bound, value_bound
 from clvol.features import called_for, reduced_for_frames
 from clvol.integrators.multiresolution.blocked_volume import levels_of_fields
 from clvol.integrators.multiresolution.clipped_blocks import MARGIN, kept_shares, removed_blocks
+from clvol.integrators.multiresolution.looks import Looks, looks_of
 from clvol.integrators.multiresolution.projection_errors import projected_colors, projection_errors
 from clvol.integrators.multiresolution.selection import SourceErrors, source_errors
 from clvol.integrators.multiresolution.visible_error import ShownColors
@@ -30,24 +31,28 @@ from clvol.volume.grid import Grid
 
 # What an error beside a block counts for: of its voxels one layer has a share in the gradients there.
 _BESIDE = 1.0 / 16.0
-# What an error counts for that nobody sees, beside one in the middle of the picture, where it may cast a shadow.
+# What an error counts for that nobody sees, beside one in the middle of the picture, where it may take light from what
+# is seen, or be seen through a surface that bends rays.
 _OF_SHADOWS = 1.0 / 64.0
 
 
 @dataclass(frozen=True)
 class EffectsOnBlocks:
     """What of a scene's effects matters to the choice of blocks: its clips, whether anything needs gradients, its
-    surfaces, its compositing, whether there are shadows, which what is not seen casts, too, its masks
-    with their levels, and its noise, which ``moves`` samples by so many voxels at most."""
+    surfaces, its compositing, whether there are shadows or ambient occlusion, which what is not seen casts, too, or
+    rays that surfaces bend to it, its masks with their levels, its noise, which ``moves`` samples by so many voxels at
+    most, and how values may look."""
 
     clips: tuple[Clip, ...] = ()
     needs_gradients: bool = False
     surfaces: tuple[Isosurface, ...] = ()
     compositing: str = "over"
     casts_shadows: bool = False
+    bends_rays: bool = False
     masks: tuple[tuple[ResolvedField, int], ...] = ()
     noise: tuple[Noise, ...] = ()
     moves: float = 0.0
+    looks: Looks = Looks()
 
     @property
     def reach(self) -> float:
@@ -57,15 +62,21 @@ class EffectsOnBlocks:
     @property
     def least_share(self) -> float:
         """As in ``select_blocks``."""
-        return _OF_SHADOWS if self.casts_shadows else 0.0
+        return _OF_SHADOWS if self.casts_shadows or self.bends_rays else 0.0
+
+    @property
+    def of_values(self) -> tuple[Any, ...]:
+        """What ``function_errors`` depends on."""
+        return self.compositing, self.noise, self.looks
 
 
 def effects_on_blocks(resolved: ResolvedScene) -> EffectsOnBlocks:
     reduced = reduced_for_frames(resolved)
     return EffectsOnBlocks(
         reduced.clips, "gradients" in called_for(resolved), reduced.isosurfaces, reduced.integration.compositing,
-        reduced.shadow is not None, _masks(reduced),
-        reduced.noise, _moved_by(reduced),
+        reduced.shadow is not None or reduced.ambient_occlusion is not None,
+        any(surface.refraction != 1.0 for surface in reduced.isosurfaces), _masks(reduced),
+        reduced.noise, _moved_by(reduced), looks_of(reduced),
     )  # fmt: skip
 
 
@@ -75,7 +86,7 @@ def function_errors(
     """The errors of ``source`` under ``function`` over ``background`` (linear [3]), by the scene's compositing."""
     source = _as_perturbed(source, effects)
     if effects.compositing == "over":
-        return source_errors(source, function, background)
+        return effects.looks.errors(source, function, background)
     return projection_errors(source, function, background, effects.compositing)
 
 
@@ -111,11 +122,11 @@ def _as_perturbed(source: BlockSource, effects: EffectsOnBlocks) -> BlockSource:
 
 def shown_colors(
     source: BlockSource, function: TransferFunction, background: np.ndarray, effects: EffectsOnBlocks
-) -> ShownColors:
-    """What is shown of one value all through a block."""
+) -> list[ShownColors]:
+    """What may be shown of one value all through a block."""
     if effects.compositing == "over":
-        return ShownColors(function, source.blocks.edge * source.grid.smallest_edge, background)
-    return projected_colors(function, background)
+        return effects.looks.shown(function, source.blocks.edge * source.grid.smallest_edge, background)
+    return [projected_colors(function, background)]
 
 
 def scene_errors(

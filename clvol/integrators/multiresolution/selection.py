@@ -32,6 +32,7 @@ from clvol.integrators.multiresolution.visible_error import (
     transparent,
 )
 from clvol.scene.camera import Camera
+from clvol.scene.glow import Glow
 from clvol.scene.image import ImageSettings
 from clvol.scene.sizes import format_size
 from clvol.store.geometry import BlockGrid
@@ -72,19 +73,19 @@ class SourceErrors:
 
 
 def source_errors(
-    source: BlockSource, function: TransferFunction, background: np.ndarray
+    source: BlockSource, function: TransferFunction, background: np.ndarray, glow: Glow | None = None
 ) -> SourceErrors:
-    """The errors from ``source``'s statistics, one part after the other; ``background`` linear [3]. The path
-    is a block's edge times the smallest voxel edge."""
+    """The errors from ``source``'s statistics, one part after the other; ``background`` linear [3], ``glow``: light
+    beside that of ``function``. The path is a block's edge times the smallest voxel edge."""
     blocks = source.blocks
     path = blocks.edge * source.grid.smallest_edge
-    shown = ShownColors(function, path, background)
+    shown = ShownColors(function, path, background, glow)
     errors = np.zeros((blocks.levels, blocks.count), np.float32)
     dropped = np.zeros(blocks.count, bool)
     transmittances = np.ones(blocks.count, np.float32)
     for part in source.statistics():
         piece = slice(part.first, part.first + len(part.reach_low))
-        dropped[piece] = transparent(part, function)
+        dropped[piece] = transparent(part, function, glow)
         errors[:, piece] = estimated_errors(part, shown, ~dropped[piece])
         transmittances[piece] = block_transmittances(part, shown)
     transmittances[dropped] = 1.0  # exactly, whatever the table's nearest entry says

@@ -8,8 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from clvol.integrators.multiresolution.luv import linear_to_luv
+from clvol.scene.glow import Glow
 from clvol.store.source import QUANTILES, BlockStatistics
 from clvol.transfer import TransferFunction
+from clvol.transfer.cycle import limits
 
 _ENTRIES = 1 << 15
 _PIECE = 1 << 11  # blocks processed together: few enough for the caches
@@ -19,6 +21,8 @@ _OPAQUE = 50.0  # optical depth, at most
 # The weight of a voxel's own error relative to that of the mixture: along a ray and over neighbouring ones
 # most of it cancels.
 _OF_VOXELS = 0.1
+# The weight of what is lost with gradients: ``spread_errors``.
+_OF_GRADIENTS = 0.1
 # The groups of the lowest and the highest quantile are divided into parts, finer towards the extreme, so
 # that a few visible voxels are not lost in the group's mean. With them a histogram has 16 nodes.
 _TAIL = np.array([0.0, 0.5, 0.75, 0.9, 0.97, 1.0])
@@ -32,9 +36,9 @@ _HEAVY = len(_SHARES) - 1 + _REVERSED[np.arange(len(NODE_WEIGHTS)) % QUANTILES]
 _ORDERS = (_HEAVY, len(NODE_WEIGHTS) - 1 - _HEAVY)
 
 
-def transparent(statistics: BlockStatistics, function: TransferFunction) -> np.ndarray:
-    """bool [n]: whether ``function`` shows nothing over reach_low ... reach_high, or no voxel there is
-    finite.
+def transparent(statistics: BlockStatistics, function: TransferFunction, glow: Glow | None = None) -> np.ndarray:
+    """bool [n]: whether ``function``, and with it the light of ``glow``, shows nothing over reach_low ... reach_high,
+    or no voxel there is finite.
 
     Exact for the piecewise linear opacity, steps (two points of one value) included: the points at
     which, or towards which, it is read in that interval all have opacity 0.
@@ -52,12 +56,13 @@ def transparent(statistics: BlockStatistics, function: TransferFunction) -> np.n
     end = np.clip(end, 0, last)
     end = np.where(~below & (high > values[end]), np.minimum(end + 1, last), end)
     opaque = np.concatenate([[0], np.cumsum(function.opacities > 0)])
-    return ~known | (opaque[end + 1] == opaque[first])
+    empty = ~known | (opaque[end + 1] == opaque[first])
+    return empty if glow is None else empty & transparent(statistics, glow.shape)
 
 
 class ShownColors:
     """L*, u*, v* of a ray's colour after ``path_length`` (world) of one value, over
-    ``background`` (linear [3]).
+    ``background`` (linear [3]), with the light of ``glow``.
 
     This is a table with equally many entries for each piece of ``function`` between two points, from which the nearest
     one is taken: even narrow pieces are resolved, and jumps are kept. NaN shows the
@@ -65,8 +70,11 @@ class ShownColors:
     """
 
     def __init__(
-        self, function: TransferFunction, path_length: float, background: np.ndarray
+        self, function: TransferFunction, path_length: float, background: np.ndarray, glow: Glow | None = None
     ) -> None:
+        light = np.zeros((len(function.values), 3))
+        if glow is not None:
+            function, light = _with_light(function, glow)
         values, exponent = function.values, path_length / function.opacity_unit
         pieces = np.flatnonzero(values[1:] > values[:-1])
         entries = max(_ENTRIES // max(len(pieces), 1), 64)
@@ -85,13 +93,18 @@ class ShownColors:
             alpha = -np.expm1(exponent * np.log1p(-opacities))
         background = np.asarray(background, np.float64)
         shown = between(function.colors) * alpha + background * (1.0 - alpha)
+        emitted = path_length * between(light)
+        emitted[0] = 0.0
+        if glow is not None:
+            with np.errstate(divide="ignore", over="ignore"):
+                shown += emitted * _share_that_leaves(-exponent * np.log1p(-opacities), alpha)
         self._luv = np.ascontiguousarray(linear_to_luv(shown).T, np.float32)
         # The medium itself over a part of the path: optical depth, and colour times it.
         with np.errstate(divide="ignore"):
             depths = -exponent * _MEDIUM_PATH * np.log1p(-opacities)
         depths = np.minimum(depths, _OPAQUE)
         self._medium = np.ascontiguousarray(
-            np.concatenate([depths, depths * between(function.colors)], axis=1).T, np.float32
+            np.concatenate([depths, depths * between(function.colors) + _MEDIUM_PATH * emitted], axis=1).T, np.float32
         )
         self._background = background
         self._transmittances = (1.0 - alpha[:, 0]).astype(np.float32)
@@ -122,13 +135,33 @@ class ShownColors:
             sum(component.take(places) @ NODE_WEIGHTS for places in parts) / len(parts) for component in self._medium
         )
         alpha = -np.expm1(-depth)
-        share = np.where(depth > 0, alpha / np.where(depth > 0, depth, 1.0), 0.0)
+        share = _share_that_leaves(depth, alpha)
         shown = [e * share + b * (1.0 - alpha) for e, b in zip(emission, self._background)]
         return list(linear_to_luv(np.stack(shown, axis=-1)).T)
 
     def transmittance(self, places: np.ndarray) -> np.ndarray:
         """float32, of ``path_length``."""
         return self._transmittances[places]
+
+
+def _share_that_leaves(depth: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """The share of light, emitted evenly along a path of optical depth ``depth`` and opacity ``alpha``, that leaves it.
+    """
+    return np.where(depth > 0, alpha / np.where(depth > 0, depth, 1.0), 1.0)
+
+
+def _with_light(function: TransferFunction, glow: Glow) -> tuple[TransferFunction, np.ndarray]:
+    """``function`` with the points of ``glow`` among its own, and the light [n, 3] per world length at its points."""
+    knots = np.unique(np.concatenate([function.values, glow.values]))
+    brightest = max(float(glow.light.max()), 1e-300)
+    light = TransferFunction(glow.values, np.zeros(len(glow.values)), glow.light / brightest)
+    rows = np.empty((len(knots), 2, 7))
+    for k, side in enumerate(("left", "right")):
+        rows[:, k, :4] = limits(function, knots, side)
+        rows[:, k, 4:] = limits(light, knots, side)[:, 1:]
+    points = rows.reshape(-1, 7)
+    both = TransferFunction(np.repeat(knots, 2), points[:, 0], points[:, 1:4], function.opacity_unit)
+    return both, points[:, 4:] * brightest
 
 
 def block_errors(
@@ -229,6 +262,33 @@ def noise_errors(statistics: BlockStatistics, deviation: np.ndarray, shown: Show
             out[part] += np.float32(0.5 * _OF_VOXELS) * _mean_delta_e(whole, each)
         a, b = shown.mixture(places[0]), shown.mixture_of(places[1:])
         out[part] += np.sqrt(sum((u - v) ** 2 for u, v in zip(a, b))).astype(np.float32)
+    return out
+
+
+def spread_errors(statistics: BlockStatistics, looks: Sequence[ShownColors]) -> np.ndarray:
+    """float32 [levels, n]: the estimated Delta-E of values that look like any of ``looks``, depending on the gradient:
+    a tenth of the largest one between the mixtures of a block's values that all look like one of them, in the share of
+    the block's deviation, and so of its gradients, that a level has lost.
+
+    Pictures by blocks against all voxels, RMSE in sRGB, of weights 0, 0.1, 0.3, 1 (by a factor from 0 on; by layers):
+      cthead in 1500 KiB  0.028, 0.027, 0.028, 0.036;  0.032, 0.032, 0.033, 0.034
+      tooth in 1 MiB      0.056, 0.032, 0.031, 0.031;  0.0098, 0.0087, 0.0089, 0.0093
+    By the transfer function alone: 0.051 and 0.046; 0.031 and 0.0097."""
+    out = np.zeros(statistics.mean.shape, np.float32)
+    blocks = np.flatnonzero(statistics.minimum[0] < statistics.maximum[0])
+    for first in range(0, len(blocks), _PIECE):
+        piece = blocks[first : first + _PIECE]
+        nodes = histogram_nodes(
+            statistics.quantiles[0, piece], statistics.minimum[0, piece], statistics.maximum[0, piece]
+        )
+        own, *others = (look.mixture(look.places(nodes)) for look in looks)
+        spread = np.zeros(len(piece))
+        for other in others:
+            spread = np.maximum(spread, np.sqrt(sum((a - b) ** 2 for a, b in zip(own, other))))
+        deviation = statistics.deviation[:, piece]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            lost = np.where(deviation[-1] > 0, np.minimum(deviation / deviation[-1], 1.0), 0.0)
+        out[:, piece] = _OF_GRADIENTS * np.maximum.accumulate(np.nan_to_num(lost * spread), axis=0)
     return out
 
 

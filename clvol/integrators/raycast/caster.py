@@ -208,9 +208,10 @@ class Raycaster:
         """Finds the ambient occlusion, where there is one. No camera changes it."""
         effects = self.effects
         if effects.switches.get("AMBIENT_OCCLUSION") and self.visible_share:
-            arrays = {**self._scene_arrays(), **effects.arrays}
+            variant, own = self._sample_arguments
+            arrays = {**self._scene_arrays(), **own}
             effects.arrays["occlusion"], self.occlusion_samples = fill_occlusion_volume(
-                self.context, self.resolved, self.switches, self.volume_view(), effects.numbers, arrays
+                self.context, self.resolved, self.switches, self.volume_view(), effects.numbers, variant, arrays
             )
 
     def _scene_arrays(self) -> dict[str, DeviceArray]:

@@ -230,7 +230,8 @@ def test_gradients_are_continuous_over_the_faces_of_blocks_of_different_levels()
          "multiresolution.stepping"),
         ({**LIT, "gradient": {"storage": "precomputed"}}, "gradient.storage"),
         ({**LIT, "gradient": {"operator": "sobel"}}, "integration.method"),
-        ({"isosurface": [{"value": 120.0, "opacity": 0.5, "refraction": 1.3}]}, "integration.method"),
+        ({"refraction": {"points": [{"value": 0.0, "index": 1.0}, {"value": 255.0, "index": 1.3}]}},
+         "integration.method"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_refused_in_one_line(tables, where):

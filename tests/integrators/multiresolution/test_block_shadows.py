@@ -78,8 +78,8 @@ def test_what_is_not_in_the_picture_casts_its_shadow_at_some_resolution(context)
 
 
 def test_shadows_are_refused_where_they_cannot_be_and_explained_where_they_are():
-    with pytest.raises(SceneError, match="shadow.method: got 'rays'"):
-        check_scene(scene(smooth(), **{**SHADED, "shadow": {"method": "rays"}}))
+    with pytest.raises(SceneError, match="compression.decode: got 'resident' in a scene with shadows"):
+        check_scene(scene(smooth(), **SHADED, compression={"decode": "resident"}))
     check_scene(scene(smooth(), **SHADED))
     told = explain(scene(smooth(), **SHADED))
     assert "shadows" in {effect["name"] for effect in told["effects"] if effect["called_for"]}
