@@ -82,6 +82,12 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
   first_leave = group_min(m, fmax(first_leave, 0.0f)), last_enter = group_max(m, fmax(last_enter, 0.0f));
   int base = begin < INFINITY ? (int)begin / period * period : 0;
   int alive = begin < INFINITY;
+#if EFFECTS && ISOSURFACES && !TRANSLUCENT
+  /* Nothing needs samples: all is as in empty space. */
+  for (int q = 0; q < (alive ? PACKETS : 0); ++q)
+    pass_empty_slices(&source, &packets[q], INFINITY, &taken, counted);
+  alive = 0;
+#endif
   while (alive) {
     const int well_inside = (float)base > last_enter && (float)(base + CHUNK) < first_leave;
     update_levels(&source, m, base, 0, 1, well_inside, &taken, counted);
@@ -102,6 +108,10 @@ __kernel WIDE_VECTORS __attribute__((reqd_work_group_size(WORKERS, 1, 1))) void 
         alive_here = march_packet(&source, m, &packets[q], column, row, base, slices, table, &taken, counted);
       else
         alive_here = any_lane(LOAD_LANES(packets[q].alive));
+#if EFFECTS && ISOSURFACES
+      if (slices == 1 && alive_here)
+        alive_here = pass_empty_slices(&source, &packets[q], (float)m->wakes[c], &taken, counted);
+#endif
       if (slices == 1 && alive_here) alive_here = restart_packet(&packets[q], m->wakes[c]);
       if (alive_here) next = min(next, max(base + CHUNK, m->wakes[c]));
       goes_on |= alive_here;

@@ -5,6 +5,9 @@
 #include "half_opacity.h"
 #include "lanes.h"
 #include "pyramid.h"
+#if EFFECTS && ISOSURFACES
+#include "surface_walk.h"
+#endif
 
 typedef struct PixelPacket {
   float x0[LANES], y0[LANES], z0[LANES], dx[LANES], dy[LANES], dz[LANES]; /* rays by slices */
@@ -20,6 +23,9 @@ typedef struct PixelPacket {
 #endif
 #if CUT_FACES
   int cut[LANES];                                                         /* by which half-space a ray enters, or -1 */
+#endif
+#if EFFECTS && ISOSURFACES
+  SurfaceWalk walk; /* from where the ray enters on */
 #endif
 #if WITH_DEPTH
   HalfOpacity half_; /* in slices */

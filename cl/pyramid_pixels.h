@@ -12,6 +12,9 @@
 #if EFFECTS
 #include "pyramid_light.h"
 #endif
+#if EFFECTS && ISOSURFACES
+#include "pyramid_surfaces.h"
+#endif
 
 #if CLASSIFICATION != CLASSIFICATION_PREINTEGRATED
 #error "segments of adaptive length are pre-integrated"
@@ -28,6 +31,9 @@ int prepare_packet(__constant const View *view, __constant const Pyramid *pyrami
 {
   const intN px = column + (LANE_INDEX & (PACKET_W - 1)), py = row + LANE_INDEX / PACKET_W;
   SliceRays r = slice_rays(view, TO_FLOAT(px), TO_FLOAT(py), 1);
+#if EFFECTS && ISOSURFACES
+  const floatN hull = r.enter;
+#endif
   const intN cut = clip_to_halves(&r, pyramid, view->step);
   const intN alive = r.hits & MASK(px < view->image.x) & MASK(py < view->image.y), none = ~(intN)0;
   const floatN zero = 0.0f;
@@ -39,6 +45,9 @@ int prepare_packet(__constant const View *view, __constant const Pyramid *pyrami
   STORE_LANES(none, p->first), STORE_LANES(none, p->second), STORE_LANES(alive, p->alive);
 #if CUT_FACES
   STORE_LANES(cut, p->cut);
+#endif
+#if EFFECTS && ISOSURFACES
+  begin_walk(view, p, px, py, &r, hull);
 #endif
 #if WITH_DEPTH
   p->half_ = no_half();
@@ -77,6 +86,10 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
   const float h = view->step;
   Gathered acc;
   int shows = 0; /* whether `acc` is needed */
+#if EFFECTS && ISOSURFACES
+  look_ahead(in, p, alive, (float)(base + CHUNK), samples, counted);
+  floatN surface = next_surface(in, p);
+#endif
   /* A packet that was sampled on the last slice mostly is on the next ones: all of them are fetched at once, since a
    * fetch from beyond the first caches takes longer than all else about a sample. */
   FetchedPlace ahead[CHUNK];
@@ -127,16 +140,30 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
     if (!inside) closes &= MASK(length > 0.0f);
     const intN curved = closes & ~second;
     count_lanes(&counted[COUNT_ACCUMULATIONS], closes);
+    intN uncut = closes; /* segments without a surface */
+#if EFFECTS && ISOSURFACES
+    const intN meets = closes & MASK(surface <= t);
+    if (any_lane(meets)) {
+      if (!shows) gathered_load(&acc, p->rgba);
+      shows = 1, uncut &= ~meets;
+      const LastSamples last = {value1, value2, t1, t2, curved};
+      close_at_surfaces(in, p, &acc, &last, t, value, meets, table, samples, counted);
+      opacity = acc.a;
+      alive &= ~(meets & MASK(opacity >= view->stop_opacity));
+      look_ahead(in, p, alive, (float)(base + CHUNK), samples, counted);
+      surface = next_surface(in, p);
+    }
+#endif
     /* The segment's ends stay between the samples that it depends on: where all of these show nothing, no more is to
      * be done. */
     floatN low = lane_min(value1, value), high = lane_max(value1, value);
     /* not those of a hole */
     low = select(low, lane_min(value2, low), curved), high = select(high, lane_max(value2, high), curved);
-    if (any_lane(closes & MASK(high > in->pyramid->gate_low) & MASK(low < in->pyramid->gate_high))) {
-      const floatN long_ = select(one, length, closes);
+    if (any_lane(uncut & MASK(high > in->pyramid->gate_low) & MASK(low < in->pyramid->gate_high))) {
+      const floatN long_ = select(one, length, uncut);
       floatN front = value1, back = value;
       shift_uneven_ends(value2, &front, &back, select(one, t1 - t2, curved), long_, curved);
-      if (may_be_visible(lane_min(front, back), lane_max(front, back), closes, view)) {
+      if (may_be_visible(lane_min(front, back), lane_max(front, back), uncut, view)) {
 #if HELD_LIGHT
         if (!shows) acc.r = acc.g = acc.b = 0.0f;
         acc.a = opacity;
@@ -145,18 +172,18 @@ INLINE int march_slices(const Source *in, SHARED const Levels *m, PixelPacket *p
 #endif
         shows = 1;
 #if EFFECTS
-        SegmentColor color = color_of_segment(front, back, long_ * view->step_units, closes,
+        SegmentColor color = color_of_segment(front, back, long_ * view->step_units, uncut,
                                               scene_pieces(table, (intN)0, view));
         const floatN middle = t1 + 0.5f * long_;
 #if HELD_LIGHT
-        queue_lit(in, color, p, middle, &acc, closes, EFFECT_TALLIES(counted));
+        queue_lit(in, color, p, middle, &acc, uncut, EFFECT_TALLIES(counted));
 #else
-        const floatN depth = light_segment(in->scene, in->pyramid, &color, p, middle, 1.0f - acc.a, closes,
+        const floatN depth = light_segment(in->scene, in->pyramid, &color, p, middle, 1.0f - acc.a, uncut,
                                            EFFECT_TALLIES(counted));
-        composite_color(&acc, color, closes);
+        composite_color(&acc, color, uncut);
 #endif
 #else
-        composite_segment(&acc, front, back, long_, closes, table, view);
+        composite_segment(&acc, front, back, long_, uncut, table, view);
 #endif
         pass_opacity(&acc, opacity, HALF_OF(p), t1, t, front, back);
 #if EFFECTS && HALF_SCALED && WITH_DEPTH

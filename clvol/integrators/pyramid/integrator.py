@@ -36,7 +36,7 @@ _EFFECTS = PLAIN | {
     "cubic filter", "catmull-rom filter", "prefilter", "clipping", "colour cycling", "lighting", "specular",
     "spot lights", "image lights",
     "environment", "environment background", "shadows", "scattering", "gradients", "sobel gradients",
-    "precomputed gradients", "gradient opacity", "directional opacity", "depth cueing",
+    "precomputed gradients", "gradient opacity", "directional opacity", "depth cueing", "isosurfaces",
 }  # fmt: skip
 
 

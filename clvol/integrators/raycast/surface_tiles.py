@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 def without_surfaces(caster: Raycaster) -> Raycaster | None:
     """A caster for tiles that see no surface, but may see something else. It computes the same as ``caster`` without
     testing for surfaces. None where every tile needs that test."""
+    if caster.march.renders_all_pixels:
+        return None  # it looks at what is known of a ray's next surface once in many slices
     switches = caster.effects.switches
     if not switches.get("ISOSURFACES") or switches["REFRACTION"]:
         return None  # bent rays go anywhere
