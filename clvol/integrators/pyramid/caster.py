@@ -49,7 +49,7 @@ class PyramidCaster(Raycaster):
     def _build_shadows(self) -> None:
         """The rays of a light volume leap by the ray caster's map, not by that of the slices."""
         of_slices = getattr(self, "distances", None)
-        self.distances = distance_map(self.context, self.shown)
+        self.distances = distance_map(self.context, self.march.shown, bool(self.octant_cells))
         super()._build_shadows()
         if of_slices is not None:
             self.distances = of_slices

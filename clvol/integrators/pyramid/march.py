@@ -19,6 +19,7 @@ from clvol.integrators.pyramid.layout import FREE_REACH, FREE_SHIFT, map_bytes, 
 from clvol.integrators.pyramid.oracle import KERNEL_ERROR, KERNEL_MAP, Asked, BlockCells, Oracle
 from clvol.integrators.pyramid.oracles.visible import visible_in_cells
 from clvol.integrators.pyramid.slices import SlicePlan, slice_plan
+from clvol.integrators.raycast.march import refined
 from clvol.opencl.arguments import reads
 from clvol.opencl.context import DeviceArray, DeviceContext, Kernel
 from clvol.opencl.struct_check import REPORT_ARGUMENTS, check_structs
@@ -62,6 +63,7 @@ class SliceMarch:
         self.free: DeviceArray
         self.free_shape: tuple[int, int, int]
         self.free_shift: int
+        self.shown: np.ndarray  # bool [z, y, x]: cells of the caster's maps in which anything can be seen
         self._halves = np.zeros((0, 4))  # half-spaces that clips keep
         self._cut_faces: dict[str, int] = {}
         self.plan: SlicePlan  # of the frame that was announced last
@@ -83,7 +85,8 @@ class SliceMarch:
         return context.kernel("pyramid.cl", name, declared, switches, self.oracle.folder)
 
     def find_empty_space(self, caster: Raycaster, mask: np.ndarray) -> None:
-        pass  # ``scene_changed`` finds it, with the oracle's map
+        """That of rays to surfaces and lights; ``scene_changed`` finds that of slices, with the oracle's map."""
+        self.shown = refined(caster, mask) if caster.resolved.isosurfaces else mask
 
     def scene_changed(self, caster: Raycaster) -> None:
         self._ask(caster)

@@ -69,6 +69,21 @@ class March(Protocol):
         ...
 
 
+def refined(caster: Raycaster, mask: np.ndarray) -> np.ndarray:
+    """``mask`` in smaller cells, if that gains anything: those of the caster's maps, also of the one of surfaces, from
+    now on."""
+    found = fine_masks(caster, mask)
+    if found is None:
+        return mask
+    mask, met = found
+    caster.map_cells, caster.map_shift = mask.shape[::-1], FINE_SHIFT
+    if caster.context.is_cpu and mask.size <= MOST_OCTANT_CELLS:
+        caster.octant_cells = mask.size
+    if met is not None:
+        caster.effects.set_surfaces(distance_map(caster.context, met, bool(caster.octant_cells)))
+    return mask
+
+
 class RayMarch:
     """One independent ray per pixel (cl/raycast.cl)."""
 
@@ -96,14 +111,7 @@ class RayMarch:
         plain = not effects or (effects.get("SEGMENT_OPACITIES") and not effects["NOISE"])
         surfaces = effects.get("ISOSURFACES") and not effects["NOISE"] and not effects["FIELDS"]
         if caster.skip and (plain or surfaces) and "STEP_CELLS" not in caster.switches:
-            found = fine_masks(caster, mask)
-            if found is not None:
-                mask, met = found
-                caster.map_cells, caster.map_shift = mask.shape[::-1], FINE_SHIFT
-                if caster.context.is_cpu and mask.size <= MOST_OCTANT_CELLS:
-                    caster.octant_cells = mask.size
-                if met is not None:
-                    caster.effects.set_surfaces(distance_map(caster.context, met, bool(caster.octant_cells)))
+            mask = refined(caster, mask)
         caster.distances = distance_map(caster.context, mask, bool(caster.octant_cells))
 
     def scene_changed(self, caster: Raycaster) -> None:
