@@ -20,6 +20,7 @@ from reference.clip import kept_stretches
 from reference.field import Field
 from reference.medium import Medium, _factor, _finite_norm
 from reference.multiresolution import shifted_chord
+from reference.pyramid_surfaces import PixelSurfaces, cued
 from reference.shade import Shader
 
 SLACK, WITHIN = 0.5, 1.6  # of cl/pyramid.h
@@ -90,7 +91,7 @@ class _March:
         self.shader = Shader(resolved, None, None)
         self.factors = resolved.gradient_opacity, resolved.directional_opacity
         self.needs_gradients = self.shader.lights_anything or any(f is not None for f in self.factors)
-        self.medium = Medium(resolved) if self.needs_gradients else None
+        self.medium = Medium(resolved) if self.needs_gradients or resolved.isosurfaces else None
         self.stop = 1.0 - integration.early_termination
         frame = ray_frame(resolved.camera, resolved.volume.grid, image.width, image.height)
         self.first_slice = frame.distance  # edges from the eye
@@ -145,6 +146,11 @@ class _March:
         self.value1, self.value2, self.t1, self.t2 = (np.zeros(shape) for _ in range(4))
         self.first, self.second = np.ones(shape, bool), np.ones(shape, bool)
         self.rgba = np.zeros((*shape, 4))
+        self.surfaces = None
+        if self.resolved.isosurfaces:
+            self.surfaces = PixelSurfaces(self.resolved, self.medium, self.shader, self.origin, self.direction)
+            ends = [(self.first_slice + t * self.step) * self.unit for t in (self.enter, self.leave)]
+            self.surfaces.find(self.alive, *ends)
 
     def run(self) -> PyramidPicture:
         if self.alive.any():
@@ -249,26 +255,73 @@ class _March:
     def _close(self, part: np.ndarray, t: np.ndarray, value: np.ndarray) -> None:
         closes = part & ~self.first & (t > self.t1)
         self.accumulations += np.count_nonzero(closes)
-        if closes.any():
-            length = (t - self.t1)[closes]
-            before = np.where(self.second, np.nan, self.value2)[closes]
-            a = np.where(self.second, 1.0, self.t1 - self.t2)[closes]
-            front, back = shifted_chord(before, self.value1[closes], value[closes], a, length)
+        whole = closes
+        if self.surfaces is not None:
+            meets = closes & (self.surfaces.next <= self._world(t))
+            self._close_at_surfaces(meets, t, value)
+            whole = closes & ~meets
+        if whole.any():
+            length = (t - self.t1)[whole]
+            before = np.where(self.second, np.nan, self.value2)[whole]
+            a = np.where(self.second, 1.0, self.t1 - self.t2)[whole]
+            front, back = shifted_chord(before, self.value1[whole], value[whole], a, length)
             color, depth = of_chord(self.function, front, back, length * self.step * self.unit)
-            color, depth = self._look(closes, t - 0.5 * (t - self.t1), color, depth)
-            opacity = -np.expm1(-depth)
-            weight = (1.0 - self.rgba[closes, 3]) * opacity
-            self.rgba[closes] += weight[:, None] * np.column_stack([color, np.ones(len(color))])
+            color, depth = self._look(whole, t - 0.5 * (t - self.t1), color, depth)
+            self._composite(whole, color, -np.expm1(-depth))
         self.value2[closes], self.t2[closes] = self.value1[closes], self.t1[closes]
         self.second &= ~closes
         self.value1[part], self.t1[part] = value[part], t[part]
         self.first &= ~part
         self.alive &= ~(part & ((t >= self.leave) | (self.rgba[..., 3] >= self.stop)))
 
+    def _world(self, t: np.ndarray) -> np.ndarray:
+        """World lengths along rays, of slices ``t``."""
+        return (self.first_slice + t * self.step) * self.unit
+
+    def _composite(self, pixels: np.ndarray, color: np.ndarray, opacity: np.ndarray) -> None:
+        weight = (1.0 - self.rgba[pixels, 3]) * opacity
+        self.rgba[pixels] += weight[:, None] * np.column_stack([color, np.ones(len(color))])
+
+    def _close_at_surfaces(self, meets: np.ndarray, t: np.ndarray, value: np.ndarray) -> None:
+        """Closes segments that surfaces cut: sampled on every slice in between, and cut there as by the ray caster."""
+        start, front, before = self.t1.copy(), self.value1.copy(), np.where(self.second, np.nan, self.value2)
+        way = np.where(self.second, 1.0, self.t1 - self.t2)
+        going = meets.copy()
+        while going.any():
+            end, back = np.minimum(np.floor(start) + 1.0, t), value.copy()
+            refined = going & (end < t)
+            if refined.any():
+                place = self.origin[refined] + self._world(end)[refined][:, None] * self.direction[refined]
+                back[refined] = self.values(place)
+                self.samples += len(place)
+            ends = shifted_chord(before[going], front[going], back[going], way[going], (end - start)[going])
+            color, depth = of_chord(self.function, *ends, np.full(len(ends[0]), self.step * self.unit))
+            color, depth = self._look(going, 0.5 * (start + end), color, depth)
+            self._cut(going, start, end, color, depth)
+            before[going], front[going], way[going] = front[going], back[going], (end - start)[going]
+            start = np.where(going, end, start)
+            going &= (end < t) & (self.rgba[..., 3] < self.stop)
+
+    def _cut(self, pixels: np.ndarray, start: np.ndarray, end: np.ndarray, color: np.ndarray, depth: np.ndarray) -> None:
+        """Composites ``pixels`` from slices ``start`` to ``end``, of which a step looks like ``color`` [n, 3] and
+        ``depth`` [n], with their surfaces in between."""
+        at, until = self._world(start), self._world(end)
+        here = pixels.copy()
+        while True:
+            crosses = here & (self.surfaces.next <= until)
+            to = np.where(crosses, self.surfaces.next, until)
+            share = (to - at)[pixels] / (self.step * self.unit)
+            self._composite(pixels, color, np.where(here[pixels], -np.expm1(-depth * share), 0.0))
+            if not crosses.any():
+                return
+            self._composite(crosses, *self.surfaces.pass_next(crosses, 1.0 - self.rgba[crosses, 3]))
+            at = np.where(crosses, to, at)
+            here = crosses & (self.rgba[..., 3] < self.stop)
+
     def _look(self, closes: np.ndarray, middle: np.ndarray, color: np.ndarray, depth: np.ndarray):
         """(colour [n, 3], lit and cued, optical depth [n]) of segments whose middles are on slices ``middle``."""
         scene, direction = self.resolved, self.direction[closes]
-        way = (self.first_slice + middle[closes] * self.step) * self.unit
+        way = self._world(middle)[closes]
         place = self.origin[closes] + way[:, None] * direction
         if self.needs_gradients:
             gradient = self.medium.gradient(place)
@@ -279,7 +332,4 @@ class _March:
             share = np.clip(1.0 - (middle - self.enter)[closes] * self.step, 0.0, 1.0)
             share = np.where(np.any(normal != 0, axis=1), share, 0.0)
             color = self.shader.lit(color, place, gradient, direction, cut_normal=normal, cut_share=share)
-        if (cue := scene.depth_cue) is not None:
-            share = np.clip((way - cue.start) / (cue.end - cue.start), 0.0, 1.0) * cue.strength
-            color = color + share[:, None] * (np.asarray(cue.color, float) - color)
-        return color, depth
+        return cued(scene.depth_cue, color, way), depth
