@@ -27,6 +27,7 @@
  *                values on both of its sides.
  *   tiles        work-items share the picture in tiles, with one coarse pixel of each level more all around. What is
  *                computed there depends on coarser levels alone, so that no pixel depends on the tile it is in.
+ *   surfaces     are found along each pixel's own ray, and cut what lies between its samples (pyramid_surfaces.h).
  *   empty space  under oracles that allow it columns of pixels sleep where nothing is to be seen, and tiles of
  *                sleeping columns leap (pyramid_leap.h).
  *   opaque rays  stop; and a tile does when all its rays have.

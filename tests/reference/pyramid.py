@@ -302,7 +302,9 @@ class _March:
             start = np.where(going, end, start)
             going &= (end < t) & (self.rgba[..., 3] < self.stop)
 
-    def _cut(self, pixels: np.ndarray, start: np.ndarray, end: np.ndarray, color: np.ndarray, depth: np.ndarray) -> None:
+    def _cut(
+        self, pixels: np.ndarray, start: np.ndarray, end: np.ndarray, color: np.ndarray, depth: np.ndarray
+    ) -> None:
         """Composites ``pixels`` from slices ``start`` to ``end``, of which a step looks like ``color`` [n, 3] and
         ``depth`` [n], with their surfaces in between."""
         at, until = self._world(start), self._world(end)

@@ -11,8 +11,8 @@ from reference.shade import Shader
 
 
 class PixelSurfaces:
-    """The surfaces of a picture's pixels [h, w], in order along each ray. ``next`` [h, w]: how far away (world) the next
-    one is, infinite where there is none."""
+    """The surfaces of a picture's pixels [h, w], in order along each ray. ``next`` [h, w]: how far away (world) the
+    next one is, infinite where there is none."""
 
     def __init__(
         self, resolved: ResolvedScene, medium: Medium, shader: Shader, origin: np.ndarray, direction: np.ndarray
@@ -44,8 +44,8 @@ class PixelSurfaces:
         return np.take_along_axis(self.t, self.passed[..., None], axis=-1)[..., 0]
 
     def pass_next(self, pixels: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(colour [n, 3], lit and cued, opacity [n]) of the next surface of ``pixels``, where ``left`` [n] arrives from;
-        the one after it is the next then."""
+        """(colour [n, 3], lit and cued, opacity [n]) of the next surface of ``pixels``, where ``left`` [n] arrives
+        from; the one after it is the next then."""
         slot = self.passed[pixels][:, None]
         t, surface, rising = (
             np.take_along_axis(of[pixels], slot, axis=1)[:, 0] for of in (self.t, self.surface, self.rising)

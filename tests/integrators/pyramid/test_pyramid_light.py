@@ -165,7 +165,6 @@ def test_errors_that_light_makes_larger_are_allowed_less():
         ({"light": [SUN], "shadow": {"method": "rays"}}, "shadow.method: got 'rays'"),
         ({"light": [SUN], "shadow": {}, "clip": [PLANE]}, "integration.method: got 'pyramid' in a scene with clips"),
         ({"noise": [{"target": "value", "amplitude": 3.0}]}, "integration.method: got 'pyramid' in .* noise"),
-        ({"isosurface": [{"value": 100.0}]}, "integration.method: got 'pyramid' in .* isosurfaces"),
     ],
 )
 def test_what_needs_rays_of_its_own_is_refused(tables, where):
