@@ -43,9 +43,12 @@ def explain(resolved: ResolvedScene) -> dict[str, Any]:
     check_scene(resolved)
     _read_environment(reduced(resolved).environment)
     load_images(reduced(resolved).lights)
+    how = integrator_of(resolved).how_shown(resolved)
     listed = [
-        {"name": e.name, "called_for": e.called_for, "reason": e.reason} for e in effects(resolved)
-    ]
+        {"name": e.name, "called_for": e.called_for,
+         "reason": f"{e.reason}; {how[e.name]}" if e.called_for and e.name in how else e.reason}
+        for e in effects(resolved)
+    ]  # fmt: skip
     image, warnings = resolved.image, scene_warnings(resolved)
     about_camera = camera_warning(resolved.camera, resolved.volume.grid, image.width, image.height)
     warnings += [] if about_camera is None else [about_camera]

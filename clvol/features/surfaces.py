@@ -21,7 +21,7 @@ def analyse(found: Findings) -> None:
         reason = f"{found.projection} shows no surfaces"
         found.note(no(name, reason), no(bending, reason))
     elif kept:
-        found.note(yes(name, f"{counted(len(kept), 'iso-value')} inside the data's range{_how(found)}"))
+        found.note(yes(name, f"{counted(len(kept), 'iso-value')} inside the data's range"))
         _note_refraction(found, surfaces)
     else:
         reason = joined(_reason(surface, found) for surface in surfaces)
@@ -38,14 +38,6 @@ def _note_refraction(found: Findings, surfaces: tuple[Isosurface, ...]) -> None:
         found.note(no("refraction", "every isosurface's refraction is 1"))
     else:
         found.note(no("refraction", "every surface that would refract is opaque or not there"))
-
-
-def _how(found: Findings) -> str:
-    """How the method "pyramid" shows them, which synthesises what else there is."""
-    if found.scene.integration.method != "pyramid":
-        return ""
-    sampled = "; where it meets one it is sampled at every step" if found.emits else ""
-    return f", which each pixel's ray looks for{sampled}"
 
 
 def _unbent(surface: Isosurface) -> Isosurface:

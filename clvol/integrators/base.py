@@ -301,6 +301,11 @@ class Integrator(Protocol):
         sum, and one that is appended to the error if the sum is too large; "" for none."""
         ...
 
+    def how_shown(self, resolved: ResolvedScene) -> Mapping[str, str]:
+        """By the names of effects, phrases on how this integrator shows them that ``clvol explain`` appends to the
+        reasons."""
+        ...
+
     def programs(self, resolved: ResolvedScene, lanes: int) -> Mapping[str, Mapping[str, int]]:
         """The files of cl/ that are compiled for the scene, each with its switches (-D)."""
         ...

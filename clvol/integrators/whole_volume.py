@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from clvol.device.memory import scene_bytes
@@ -29,6 +30,9 @@ class WholeVolume:
 
     def memory_advice(self, scene: Scene | ResolvedScene) -> tuple[str, str]:
         return "", ""
+
+    def how_shown(self, resolved: ResolvedScene) -> Mapping[str, str]:
+        return {}
 
     def key(self, resolved: ResolvedScene) -> tuple[Any, ...]:
         return ()

@@ -144,6 +144,9 @@ class Multiresolution:
             needed += block_pyramid_bytes((z * edge, y * edge, x * edge), scene)
         return needed + scene.image.width * scene.image.height * 20
 
+    def how_shown(self, resolved: ResolvedScene) -> Mapping[str, str]:
+        return {}
+
     def memory_advice(self, scene: Scene | ResolvedScene) -> tuple[str, str]:
         return f"at most {scene.multiresolution.memory} of blocks, ", ", or less multiresolution.memory"
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from clvol.device.voxels import as_rendered
 from clvol.encoding.coded_volume import UndecodedVolume
 from clvol.errors import SceneError
-from clvol.features import reduced_for_frames
+from clvol.features import emits, reduced_for_frames
 from clvol.features.refuse import PLAIN, refuse_effects, refuse_keys, refuse_quadrature, refuse_sparse_rays
 from clvol.integrators.base import Prepared, Progress, Shared
 from clvol.integrators.pyramid.bricks import BrickPyramidCaster
@@ -68,6 +68,10 @@ class Pyramid(WholeVolume):
 
     def device_bytes(self, volume: Volume, scene: Scene | ResolvedScene) -> int:
         return super().device_bytes(volume, scene) + pyramid_bytes(volume, scene)
+
+    def how_shown(self, resolved: ResolvedScene) -> Mapping[str, str]:
+        sampled = "; where it meets one it is sampled at every step" if emits(reduced_for_frames(resolved)) else ""
+        return {"isosurfaces": f"each pixel's ray looks for them{sampled}"}
 
     def programs(self, resolved: ResolvedScene, lanes: int) -> Mapping[str, Mapping[str, int]]:
         resolved = as_rendered(resolved)

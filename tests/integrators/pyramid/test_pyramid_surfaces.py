@@ -251,8 +251,8 @@ def test_what_is_done_is_explained():
         listed = explain(scene(function=function, isosurface=[THIN]))["effects"]
         return next(effect["reason"] for effect in listed if effect["name"] == "isosurfaces")
 
-    assert reason(SMOOTH).endswith("which each pixel's ray looks for; where it meets one it is sampled at every step")
-    assert reason(CLEAR).endswith("which each pixel's ray looks for")
+    assert reason(SMOOTH).endswith("range; each pixel's ray looks for them; where it meets one it is sampled at every step")
+    assert reason(CLEAR).endswith("range; each pixel's ray looks for them")
 
 
 @pytest.mark.parametrize(
