@@ -20,6 +20,7 @@
 #include "pyramid_light.h"
 #include "pyramid_packet.h"
 #include "pyramid_places.h"
+#include "pyramid_rays.h"
 #include "rays.h"
 #include "surfaces.h"
 #include "tally.h"
