@@ -199,7 +199,7 @@ def test_its_distance_is_an_eighth_of_the_diagonal_unless_stated():
     assert occluded(ball(), BALL).ambient_occlusion.distance == 9.0
 
 
-@pytest.mark.parametrize("integration", [{"method": "pyramid"}, {"method": "slicing"}, {"method": "multiresolution"}])
+@pytest.mark.parametrize("integration", [{"method": "pyramid"}, {"method": "slicing"}])
 def test_methods_without_it_say_so(integration):
     with pytest.raises(SceneError, match="ambient occlusion"), \
          Renderer(clvol.Scene(volume=clvol.Volume(ball()), transfer_function=BALL, ambient_occlusion=NEAR,

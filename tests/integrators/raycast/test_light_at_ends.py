@@ -97,7 +97,6 @@ def test_holes_and_even_fields_are_not_lit(context):
     ({"isosurface": [{"value": 0.5}]}, "isosurface"),
     ({"transfer_layer": [{"magnitude": 0.1, "points": [{"value": 0.0, "opacity": 0.3, "color": [1, 1, 1]}]}]}, "layer"),
     ({"integration": {"segments": "integral-table"}}, "segments"),
-    ({"integration": {"method": "multiresolution"}}, "light at both ends"),
 ])  # fmt: skip
 def test_what_it_cannot_be_combined_with_is_refused(tables, where):
     with pytest.raises(SceneError, match=where):
