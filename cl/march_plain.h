@@ -101,7 +101,9 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
     }
     uint ended = 0;
     while (todo) {
-      SegmentQueue queue = {0.0f, 0.0f, 0};
+      SegmentQueue queue;
+      QueuedColors colors;
+      empty_queue(&queue);
       uint queued = 0;
       do {
         const uint next = todo & -todo;
@@ -111,14 +113,14 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
         append_segments(&queue, fronts[step], backs[step], shown[step]);
         queued |= next, todo ^= next;
       } while (todo);
-      const SegmentColor colors = colors_of_queue(queue, table, view);
+      colors_of_queue(&queue, table, view, &colors);
       int from = 0;
       do {
         const uint next = queued & -queued;
         const int step = 31 - clz(next);
         const intN active = lanes_of(shown[step] & ~ended);
         const floatN before = acc.a;
-        composite_color(&acc, queued_color(colors, shown[step], from), active);
+        composite_color(&acc, queued_color(&colors, shown[step], from), active);
         NOTE_FIRST(before, acc.a, first_t + ((float)step - 1.0f));
         from += popcount(shown[step]), queued ^= next;
 #if WITH_DEPTH

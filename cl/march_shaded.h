@@ -289,7 +289,9 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
 #endif
     while (todo) {
 #if QUEUED_SEGMENTS
-      SegmentQueue queue = {0.0f, 0.0f, 0};
+      SegmentQueue queue;
+      QueuedColors colors;
+      empty_queue(&queue);
       uint queued = 0;
       do {
         const uint next = todo & -todo;
@@ -299,7 +301,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
         append_segments(&queue, fronts[step], values[step], shown[step]);
         queued |= next, todo ^= next;
       } while (todo);
-      const SegmentColor colors = colors_of_queue(queue, table, view);
+      colors_of_queue(&queue, table, view, &colors);
       int from = 0;
 #else
       uint queued = todo & -todo;
@@ -311,7 +313,7 @@ PER_PACKET void render_packet(const Scene *scene, intN px, intN py, Span span, f
         const intN active = lanes_of(shown[step] & ~ended);
         queued ^= next;
 #if QUEUED_SEGMENTS
-        Emission e = emission_of_color(queued_color(colors, shown[step], from));
+        Emission e = emission_of_color(queued_color(&colors, shown[step], from));
         from += popcount(shown[step]);
 #else
         Emission e = emission_between(FRONT(step), values[step], active, table, view);

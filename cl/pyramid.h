@@ -81,7 +81,7 @@ typedef struct {
   FIELD(Pyramid, spacing_growth), FIELD(Pyramid, gate_low), FIELD(Pyramid, gate_high)
 
 /* Whether segments are queued for light (pyramid_light.h). */
-#if EFFECTS && LANES > 1 && defined(HARDWARE_GATHER) && SEGMENT_OPACITIES
+#if EFFECTS && LANES > 1 && defined(NATIVE_LANES) && SEGMENT_OPACITIES
 #define HELD_LIGHT 1
 #else
 #define HELD_LIGHT 0

@@ -21,9 +21,9 @@
 #include "lanes.h"
 #include "scene.h"
 
-/* march_shaded.h in place of march_effects.h, where that is possible and packing lanes is one instruction. */
+/* march_shaded.h in place of march_effects.h, where that is possible and lanes are packed in few instructions. */
 #ifndef HOLD_SEGMENTS
-#ifdef HARDWARE_GATHER
+#ifdef NATIVE_LANES
 #define HOLD_SEGMENTS 1
 #else
 #define HOLD_SEGMENTS 0

@@ -14,15 +14,12 @@
 #include "transfer_pieces.h"
 #include "view.h"
 
-#if defined(HARDWARE_GATHER) && defined(__AVX512DQ__) && CLASSIFICATION == CLASSIFICATION_PREINTEGRATED && \
-  !defined(QUEUED_SEGMENTS)
-#if __has_builtin(__builtin_ia32_compresssf512_mask) && __has_builtin(__builtin_ia32_expandsf512_mask) && \
-  __has_builtin(__builtin_ia32_permvarsf512)
-#define QUEUED_SEGMENTS 1
-#endif
-#endif
 #ifndef QUEUED_SEGMENTS
+#if defined(NATIVE_LANES) && CLASSIFICATION == CLASSIFICATION_PREINTEGRATED
+#define QUEUED_SEGMENTS 1
+#else
 #define QUEUED_SEGMENTS 0 /* lanes would be moved one by one */
+#endif
 #endif
 
 /* The lanes whose segments between these values can be visible. */
@@ -39,11 +36,15 @@ INLINE intN lanes_that_show(floatN low, floatN high, __constant const View *view
 }
 
 #if QUEUED_SEGMENTS
+#ifdef LANES_IN_AVX512
 
 typedef struct {
   floatN front, back; /* values at their ends, in the first `count` lanes */
   int count;
 } SegmentQueue;
+typedef SegmentColor QueuedColors;
+
+INLINE void empty_queue(SegmentQueue *queue) { queue->front = queue->back = 0.0f, queue->count = 0; }
 
 /* The lanes in `bits` of v, from lane `to` on in place of those of `queued`. */
 INLINE floatN queued_lanes(floatN queued, floatN v, uint bits, int to)
@@ -71,20 +72,64 @@ INLINE void append_segments(SegmentQueue *queue, floatN front, floatN back, uint
   queue->count += popcount(bits);
 }
 
-/* Their colours, one step long each. */
-INLINE SegmentColor colors_of_queue(SegmentQueue queue, __global const float *table, __constant const View *view)
-{
-  const Pieces f = scene_pieces(table, (intN)0, view);
-  return color_of_segment(queue.front, queue.back, (floatN)view->step_units, MASK(LANE_INDEX < queue.count), f);
-}
+#define QUEUED(values) (values)
+#define KEEP_COLOR(colors, s) (*(colors) = (s))
 
 /* The colours of the lanes in `bits`; others' are undefined. */
-INLINE SegmentColor queued_color(SegmentColor colors, uint bits, int from)
+INLINE SegmentColor queued_color(const QueuedColors *colors, uint bits, int from)
 {
   const intN at = places_in_queue(bits, from);
-  const SegmentColor s = {permuted_lanes(colors.r, at), permuted_lanes(colors.g, at), permuted_lanes(colors.b, at),
-                          permuted_lanes(colors.a, at), colors.depth};
+  const SegmentColor s = {permuted_lanes(colors->r, at), permuted_lanes(colors->g, at), permuted_lanes(colors->b, at),
+                          permuted_lanes(colors->a, at), colors->depth};
   return s;
+}
+
+#else
+
+/* In memory, with room for what packing leaves behind the last lane. */
+typedef struct {
+  float front[2 * LANES], back[2 * LANES];
+  int count;
+} SegmentQueue;
+typedef struct {
+  float r[2 * LANES], g[2 * LANES], b[2 * LANES], a[2 * LANES];
+} QueuedColors;
+
+INLINE void empty_queue(SegmentQueue *queue)
+{
+  STORE_LANES((floatN)0.0f, queue->front), STORE_LANES((floatN)0.0f, queue->back);
+  queue->count = 0;
+}
+
+INLINE void append_segments(SegmentQueue *queue, floatN front, floatN back, uint bits)
+{
+  pack_lanes(front, bits, queue->front + queue->count), pack_lanes(back, bits, queue->back + queue->count);
+  queue->count += popcount(bits);
+}
+
+#define QUEUED(values) LOAD_LANES(values)
+INLINE void keep_color(QueuedColors *colors, SegmentColor s)
+{
+  STORE_LANES(s.r, colors->r), STORE_LANES(s.g, colors->g), STORE_LANES(s.b, colors->b), STORE_LANES(s.a, colors->a);
+}
+#define KEEP_COLOR(colors, s) keep_color(colors, s)
+
+INLINE SegmentColor queued_color(const QueuedColors *colors, uint bits, int from)
+{
+  const SegmentColor s = {unpack_lanes(colors->r + from, bits), unpack_lanes(colors->g + from, bits),
+                          unpack_lanes(colors->b + from, bits), unpack_lanes(colors->a + from, bits), 0.0f};
+  return s;
+}
+
+#endif
+
+/* The colours of what is queued, one step long each. */
+INLINE void colors_of_queue(const SegmentQueue *queue, __global const float *table, __constant const View *view,
+                            QueuedColors *colors)
+{
+  const Pieces f = scene_pieces(table, (intN)0, view);
+  KEEP_COLOR(colors, color_of_segment(QUEUED(queue->front), QUEUED(queue->back), (floatN)view->step_units,
+                                      MASK(LANE_INDEX < queue->count), f));
 }
 
 #endif

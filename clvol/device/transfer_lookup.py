@@ -16,7 +16,7 @@ from clvol.scene.resolve import ResolvedScene
 from clvol.transfer import TransferFunction
 from clvol.transfer.cycle import cycled
 from clvol.transfer.lookup_nodes import LookupNodes, lookup_nodes
-from clvol.transfer.pieces import MOST_IN_REGISTERS, columns, has_opaque_point, piece_count
+from clvol.transfer.pieces import has_opaque_point, piece_count, register_pieces
 
 _NODES, CONSTANT_NODES = 256, 4096  # numbers of values that maps of empty space distinguish
 _WIDEST = 8.0  # number of value ranges by which noise may widen the nodes, on either side
@@ -42,11 +42,10 @@ def segment_classification(
 
 
 def transfer_pieces(resolved: ResolvedScene, functions: Sequence[TransferFunction]) -> int:
-    """TRANSFER_PIECES: the number of columns of the table where registers hold all pieces, else 0. Layers differ from
+    """TRANSFER_PIECES: how many pieces registers tell apart where they hold all of them, else 0. Layers differ from
     lane to lane; and where colours cycle the number of pieces changes, which must compile nothing."""
     in_memory = len(functions) > 1 or resolved.animation.cycle
-    width = columns(max(map(piece_count, functions)))
-    return 0 if in_memory or width > MOST_IN_REGISTERS else width
+    return 0 if in_memory else register_pieces(max(map(piece_count, functions)))
 
 
 def scene_nodes(resolved: ResolvedScene, function: TransferFunction | None = None) -> LookupNodes:

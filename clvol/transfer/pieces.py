@@ -18,7 +18,8 @@ import numpy as np
 from clvol.transfer.function import TransferFunction
 
 _log = logging.getLogger(__name__)
-IN_REGISTERS = 16  # pieces that a ray packet holds in one register: the least TRANSFER_PIECES
+IN_HALF_REGISTERS = 8  # pieces that a register of 256 bits holds: the least TRANSFER_PIECES
+IN_REGISTERS = 16  # and one of 512: the least number of columns
 MOST_IN_REGISTERS = 256  # and in several of them: the largest one
 ROWS = 27
 OPAQUE_DEPTH = 1e15  # of cl/stretch.h
@@ -38,6 +39,13 @@ def piece_count(function: TransferFunction) -> int:
 def columns(count: int) -> int:
     """The number of columns of a table of ``count`` pieces: a power of two, since pieces are found by bisection."""
     return max(IN_REGISTERS, 1 << (count - 1).bit_length())
+
+
+def register_pieces(count: int) -> int:
+    """TRANSFER_PIECES of a function of ``count`` pieces: the least number that packets tell apart in registers, and not
+    below ``count``; 0 where there is none."""
+    width = columns(count) if count > IN_HALF_REGISTERS else IN_HALF_REGISTERS
+    return width if width <= MOST_IN_REGISTERS else 0
 
 
 def piece_table(

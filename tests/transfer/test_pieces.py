@@ -13,13 +13,13 @@ from clvol.opencl.structs import view_dtype
 from clvol.transfer import TransferFunction
 from clvol.transfer.pieces import (
     DEPTH,
-    MOST_IN_REGISTERS,
     SPANS,
     columns,
     depth_and_moment,
     has_opaque_point,
     piece_count,
     piece_table,
+    register_pieces,
     shown_spans,
     value_gate,
 )
@@ -70,7 +70,7 @@ def segments_of(context, function, front, back, units, *, lanes=None, in_memory=
     terms, view["opacity_limit"] = step_opacity(float(np.float32(step_units)))
     view["opacity_terms"], view["opacity_more"] = terms[:4], terms[4:]
     view["piece_columns"], view["piece_count"] = width, count
-    pieces = 0 if in_memory or width > MOST_IN_REGISTERS else width
+    pieces = 0 if in_memory else register_pieces(count)
     kernel = context.kernel(
         SOURCE, "segment_colors",
         (

@@ -10,9 +10,11 @@ from clvol import Camera, Renderer, TransferFunction, Volume
 from clvol.errors import DeviceError, RenderError, SceneError, UsageError, VolumeError
 from clvol.integrators.raycast.caster import Raycaster
 from clvol.opencl.structs import view_dtype
+from clvol.transfer.pieces import IN_HALF_REGISTERS, IN_REGISTERS, piece_count
 
 CLASSIFICATIONS = ("pre", "post", "preintegrated")
 TYPES = (np.uint8, np.int8, np.uint16, np.int16, np.float32, np.float64)
+ONE_PEAK = TransferFunction([0, 95, 100, 105, 255], [0, 0, 0.7, 0, 0], [[1, 0, 0]] * 5)
 PEAKS = TransferFunction(
     [0, 95, 100, 105, 175, 180, 185, 255],
     [0, 0, 0.7, 0, 0, 0.9, 0, 0],
@@ -279,11 +281,12 @@ def test_a_camera_move_compiles_nothing_and_a_transfer_function_only_rebuilds_ta
         camera = Camera(projection=projection, position=(60.0, -20.0, 5.0))
         moved = caster.render(camera.complete(scene.volume.grid, scene.image), 24, 20)
         assert not np.array_equal(first.rgba, moved.rgba)
-    caster.set_transfer_function(PEAKS)
-    assert not np.array_equal(first.rgba, caster.render(scene.camera, 24, 20).rgba)
-    caster.set_transfer_function(SMOOTH)
-    assert np.array_equal(first.rgba, caster.render(scene.camera, 24, 20).rgba)
-    assert context._programs == programs
+    assert piece_count(ONE_PEAK) <= IN_HALF_REGISTERS < piece_count(PEAKS) <= IN_REGISTERS
+    for function, compiled in ((ONE_PEAK, 0), (PEAKS, 1), (SMOOTH, 1)):  # more pieces take another program, once
+        caster.set_transfer_function(function)
+        assert np.array_equal(first.rgba, caster.render(scene.camera, 24, 20).rgba) == (function is SMOOTH)
+        assert programs.items() <= context._programs.items()
+        assert len(context._programs) - len(programs) <= compiled  # 0 where a test before has compiled it
     assert caster.volume.voxels is voxels
 
 
