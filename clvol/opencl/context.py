@@ -442,5 +442,6 @@ def _give_back(memory: np.ndarray) -> None:
 
 
 def compile_options(switches: Mapping[str, int]) -> tuple[str, ...]:
-    """The one place where switches become compiler flags. Values are integers, never scene text."""
-    return ("-cl-std=CL1.2", *(f"-D{name}={int(value)}" for name, value in sorted(switches.items())))
+    """The one place where switches become compiler flags. Values are integers, never scene text. No warnings: PoCL's
+    compiler would write to the user's terminal how many it has (of vectors that are wider than registers)."""
+    return ("-cl-std=CL1.2", "-w", *(f"-D{name}={int(value)}" for name, value in sorted(switches.items())))

@@ -14,8 +14,8 @@ from clvol.opencl.build import is_pocl
 SOURCE = Path(__file__).with_name("lanes_alone.cl")
 LANES = 16
 ROWS = (
-    "packed", "unpacked", "permuted", "permuted by low bits", "permuted8", "gathered from its own", "mask", "bits", "any",
-    "bytes", "shorts", "low", "high", "least", "reciprocal", "rough reciprocal", "inverse root",
+    "packed", "unpacked", "permuted", "permuted by low bits", "permuted8", "gathered from its own", "mask", "bits",
+    "any", "bytes", "shorts", "low", "high", "least", "reciprocal", "rough reciprocal", "inverse root",
 )  # fmt: skip
 
 
