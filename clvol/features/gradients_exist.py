@@ -14,6 +14,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from clvol.features.findings import has_no_gradient
+from clvol.features.minification import has_levels
 from clvol.features.values import field_overshoot
 from clvol.features.vocabulary import FILTER_REACH
 from clvol.scene.resolve import ResolvedScene
@@ -36,6 +37,8 @@ def opacity_meets_gradient(scene: ResolvedScene, anywhere: bool) -> bool:
     if has_no_gradient(scene):  # non-finite voxels do not count
         return False
     integration = scene.integration
+    if has_levels(integration):
+        return True  # means join what holes part
     moved = bool(scene.noise) or (integration.filter == "cubic" and integration.prefilter)
     reach = FILTER_REACH[integration.filter]
     if integration.classification == "preintegrated":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers.field_points import rough
@@ -15,9 +17,10 @@ from clvol.device.levels import LevelledVolume
 from clvol.device.view import PixelLattice
 from clvol.errors import SceneError, VolumeError
 from clvol.explanation import explain, kernel_hash
+from clvol.features import effects
 from clvol.integrators.raycast.levels import LevelsCaster, levels_of_picture
 from clvol.integrators.registry import check_scene, integrator_of
-from clvol.scene import ImageSettings
+from clvol.scene import ImageSettings, Light
 from clvol.volume.level_layout import coarser_bytes
 
 NEAR = {"position": (30.0, 24.0, -14.0), "target": (14.0, 9.0, 11.0), "up": (0.0, 1.0, 0.0), "fov_degrees": 60.0}
@@ -97,6 +100,28 @@ def test_lit_pictures_take_gradients_of_levels(context, camera):
     resolved = scene.resolve()
     assert rms(render(context, resolved).rgba, twin(resolved)) < 5e-4
     assert not np.allclose(render(context, resolved).rgba, render(context, base).rgba, atol=0.02)
+
+
+def test_means_that_join_what_holes_part_are_lit(context):
+    """No voxel that shows is beside one of another value, but voxels of levels are."""
+    array = np.full((16, 16, 24), 100.0, np.float32)
+    array[..., 9:12], array[..., 12:] = np.nan, 50.0
+    function = TransferFunction([60, 95, 105, 140], [0, 0.4, 0.4, 0], [WHITE] * 4)
+    camera = axis_camera((11.5, 7.5, 7.5), 2, 72.0)  # 8 voxels a pixel
+
+    def lit(**how):
+        base = make_scene(array, function, camera=camera, width=9, height=9, classification="post", **how)
+        return replace(base, lights=(Light(**LIGHT),))
+
+    called_for = [
+        {effect.name for effect in effects(resolved) if effect.called_for}
+        for resolved in (lit(), lit(minification="levels", level_bias=0.0))
+    ]
+    assert "lighting" not in called_for[0] and "lighting" in called_for[1]
+    resolved = lit(minification="levels", level_bias=0.0)
+    found = render(context, resolved)
+    assert rms(found.rgba, twin(resolved)) < 5e-4
+    assert not np.allclose(found.rgba, render(context, replace(resolved, lights=())).rgba, atol=0.02)
 
 
 @pytest.mark.parametrize("camera", [{**NEAR, "position": (60.0, 44.0, -64.0)}, axis_camera((14, 19, 21), 0, 50.0)])
