@@ -67,6 +67,6 @@ def looks_of(resolved: ResolvedScene) -> Looks:
 
 def _weakened(function: TransferFunction, factor: float) -> TransferFunction:
     """``function`` with its extinction times ``factor``, between its points, too."""
-    if not factor:
+    if not np.isfinite(function.opacity_unit / factor if factor else np.inf):
         return replace(function, opacities=np.zeros_like(function.opacities))
     return replace(function, opacity_unit=function.opacity_unit / factor)

@@ -71,6 +71,15 @@ def test_errors_of_light_are_those_of_what_varies():
     assert (brighter.errors[1:, 3] > 2.0 * found.errors[1:, 3]).all()
 
 
+def test_the_least_of_factors_counts_as_none():
+    """Nothing is as weak as what such a share leaves of an opacity: its unit would be infinite."""
+    none, least = (
+        Looks(least_factor=factor, by_gradient=True).errors(source(), RAMP, BLACK) for factor in (0.0, 1e-310)
+    )
+    np.testing.assert_array_equal(least.errors, none.errors)
+    np.testing.assert_array_equal(least.transmittances, none.transmittances)
+
+
 @pytest.mark.parametrize("least", [0.0, 0.3])
 def test_a_block_hides_no_more_than_its_weakest_look(least):
     """Of T, what the weakest factor leaves: the mean of T^factor, by each value."""
