@@ -339,8 +339,7 @@ class Renderer:
         with self._turn() as on_devices:
             if self.resolved.channels:
                 raise UsageError("set_transfer_function", "called for a scene of channels", "set_scene")
-            function = self.resolved.in_stored_values(function)
-            resolved = with_classification(replace(self.resolved, transfer_function=function))
+            resolved = with_classification(self.resolved.with_function(function))
             check_scene(resolved)  # a blank scene may hide effects that this one has
             on_devices.prepare(resolved, wait=wait)
             self.resolved = resolved

@@ -12,10 +12,12 @@ from clvol.transfer import TransferFunction
 @dataclass(frozen=True, eq=False)
 class Glow:
     """``light`` float64 [n, 3]: linear light per world length that the volume emits at ``values`` (float64 [n],
-    ascending; of two at one value the later one holds there), linear in between and constant beyond the ends."""
+    ascending; of two at one value the later one holds there), linear in between and constant beyond the ends.
+    ``factor``: that of the colours which it was made from."""
 
     values: np.ndarray
     light: np.ndarray
+    factor: float = 1.0
 
     @property
     def shape(self) -> TransferFunction:
@@ -32,4 +34,4 @@ def with_glow(function: TransferFunction, factor: float) -> tuple[TransferFuncti
     light = function.colors * (factor / function.opacity_unit)
     light.setflags(write=False)
     black = TransferFunction(function.values, function.opacities, np.zeros_like(function.colors), function.opacity_unit)
-    return black, Glow(function.values, light)
+    return black, Glow(function.values, light, factor)

@@ -169,6 +169,14 @@ class ResolvedScene:
             return function
         return function_in_codes(function, code_of(self.axis, self.volume.dtype))
 
+    def with_function(self, function: TransferFunction) -> ResolvedScene:
+        """The scene with another transfer function, stated in values, whose colours are associated where those of its
+        own are."""
+        function, glow = self.in_stored_values(function), None
+        if self.glow is not None:
+            function, glow = with_glow(function, self.glow.factor)
+        return replace(self, transfer_function=function, glow=glow)
+
 
 def resolve(scene: Scene, memory_cap: int | None = None) -> ResolvedScene:
     """See ``Scene.resolve``."""

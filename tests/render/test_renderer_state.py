@@ -293,3 +293,25 @@ def test_a_call_from_its_own_progress_is_refused_and_does_not_hang(call, device)
         with pytest.raises(RenderError, match="progress"):
             renderer.render(progress=inside)
         assert alike(renderer.render(), expected)
+
+
+@pytest.mark.parametrize("method", ["raycast", "multiresolution"])
+def test_colours_of_another_function_are_associated_as_those_before(method, device):
+    """Its light goes with it, whatever the number of its points is."""
+
+    def glowing(function):
+        rows = zip(*(column.tolist() for column in (function.values, function.opacities, function.colors)))
+        points = [{"value": value, "opacity": opacity, "color": color} for value, opacity, color in rows]
+        table = {"points": points, "associated": True, "emission": 2.5, "opacity_unit": 10.0, "color_space": "linear"}
+        size = {"width": 18, "height": 14}
+        return Scene(volume=VOLUME, transfer_function=table, image=size, integration={"method": method})
+
+    other = TransferFunction([0, 60, 90, 255], [0, 0, 0.2, 0], [[0, 0, 0], [0, 0, 1], [0, 0.5, 1], [0, 0, 0]], 10.0)
+    with Renderer(glowing(FUNCTIONS[0]), [device]) as renderer:
+        before = renderer.render()
+        for function in (other, FUNCTIONS[1], FUNCTIONS[0]):
+            renderer.set_transfer_function(function)
+            found = renderer.render()
+            with Renderer(glowing(function), [device]) as fresh:
+                assert alike(found, fresh.render())
+        assert alike(found, before)
