@@ -144,8 +144,8 @@ def test_a_memory_that_is_named_as_the_least_is_enough(run, refused, stores, dev
         (["integration.classification='pre'"], "integration.classification: got 'pre' with"),
         (["integration.quadrature='cells'"], "integration.quadrature: got 'cells' with"),
         (["integration.voxel_precision='uint8'"], "voxel_precision: got 'uint8' with the method"),
-        (["isosurface.0.value=100", "isosurface.0.refraction=1.2", "isosurface.0.opacity=0.5"],
-         "that calls for refraction, expected 'raycast'"),
+        (["refraction.points=[{value=0, index=1.0}, {value=255, index=1.3}]"],
+         "that calls for continuous refraction, expected 'raycast'"),
     ],
 )
 def test_what_the_method_does_not_do_is_one_line_in_every_command(
