@@ -55,11 +55,11 @@ def test_what_it_cannot_do_is_said_in_one_line(run, volume, folder, wrong, said)
     assert not (folder / "a.npy").exists()
 
 
-def test_surfaces_noise_and_round_clips_are_refused_by_name(run, volume, folder):
+def test_noise_refracting_surfaces_and_round_clips_are_refused_by_name(run, volume, folder):
     scene = '[volume]\nfile = "v.npy"\n[integration]\nmethod = "pyramid"\n'
     for table, said in (
         ('[[noise]]\ntarget = "value"\namplitude = 9.0\n', "noise"),
-        ("[[isosurface]]\nvalue = 100.0\n", "surface"),
+        ("[[isosurface]]\nvalue = 100.0\nopacity = 0.5\nrefraction = 1.3\n", "refraction"),
         ('[[clip]]\ntype = "sphere"\ncenter = [20.0, 20.0, 20.0]\nradius = 9.0\n', "clip"),
         ('[[clip]]\ntype = "box"\nlower = [9, 9, 9]\nupper = [20, 20, 20]\nkeep = "outside"\n', "clip"),
     ):
